@@ -1,0 +1,74 @@
+# make demo    create the environment, verify the shipped example, write the plot
+# make test    create the environment, run the tests
+# make check   what CI runs: format, lint, types, import contracts, tests
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setrl-stamp
+
+.DEFAULT_GOAL := help
+.PHONY: help env demo test test-slow check format format-check lint types contracts docstrings clean
+
+help:
+	@echo 'make env          create $(VENV) and install setrl into it (quick when it is up to date)'
+	@echo 'make demo         verify the shipped example and write demo/flowpipe.png'
+	@echo 'make test         run the tests'
+	@echo 'make test-slow    run the tests that take longer'
+	@echo 'make check        what CI runs: format, lint, types, import contracts, docstrings, tests'
+	@echo 'make format       format the code'
+	@echo 'make clean        remove the environment and everything that was built'
+	@echo
+	@echo 'PYTHON=python3.12 chooses the interpreter, VENV=folder the environment.'
+
+env: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@python=; for candidate in $(or $(PYTHON),python3 python3.13 python3.12 python3.11); do \
+	    if "$$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null; then \
+	        python=$$candidate; break; \
+	    fi; \
+	done; \
+	if [ -z "$$python" ]; then \
+	    echo "setrl needs Python 3.11 to 3.13; $(or $(PYTHON),python3) is" \
+	        "$$($(or $(PYTHON),python3) --version 2>&1 | head -n 1)." \
+	        "Install one of them, or name it: make PYTHON=/path/to/python3.12 env" >&2; \
+	    exit 1; \
+	fi; \
+	echo "Installing setrl into $(VENV) with $$("$$python" --version)"; \
+	"$$python" -m venv $(VENV) && \
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+demo: env
+	@mkdir -p demo
+	$(BIN)/setrl verify --plot demo/flowpipe.png
+
+test: env
+	$(BIN)/pytest
+
+test-slow: env
+	$(BIN)/pytest -m slow
+
+check: format-check lint types contracts docstrings test
+
+format: env
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+format-check: env
+	$(BIN)/ruff format --check .
+
+lint: env
+	$(BIN)/ruff check .
+
+types: env
+	$(BIN)/mypy
+
+contracts: env
+	PYTHONPATH=.src $(BIN)/lint-imports --no-logo
+
+docstrings: env
+	$(BIN)/pytest -q tests/test_docstrings.py
+
+clean:
+	rm -rf $(VENV) build dist demo .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
