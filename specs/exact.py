@@ -1,0 +1,97 @@
+"""Decimal text to exact rational: ``0.1`` is one tenth, not the float nearest to it."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+from .errors import InputError
+
+MAX_EXPONENT = 300
+MAX_NUMBER_LENGTH = 100
+
+_DECIMAL = re.compile(r"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?", re.ASCII)
+_LEADING_ZERO = re.compile(r"-?0+[0-9]", re.ASCII)
+
+
+def shown(text: str, limit: int = 60) -> str:
+    """Quote text that came from a file for a message: escaped, and cut where it is long."""
+    return repr(text if len(text) <= limit else text[: limit - 3] + "...")
+
+
+def exact_decimal(text: str) -> Fraction:
+    """Read ``-?digits[.digits][e[+-]digits]`` as an exact rational.
+
+    Parameters
+    ----------
+    text : str
+        At most `MAX_NUMBER_LENGTH` characters; the exponent is at most `MAX_EXPONENT` in size.
+
+    Returns
+    -------
+    Fraction
+
+    Raises
+    ------
+    InputError
+        With the remedy, for ``nan``, ``inf``, hexadecimal, leading zeros and anything else that is not a decimal.
+    """
+    if len(text) > MAX_NUMBER_LENGTH:
+        raise InputError(
+            f"expected a number of at most {MAX_NUMBER_LENGTH} characters, found {len(text)}", remedy="round it"
+        )
+    if not _DECIMAL.fullmatch(text):
+        raise InputError(f"expected a number, found {shown(text)}", remedy=_remedy(text))
+    check_exponent(text)
+    return Fraction(text)
+
+
+def check_exponent(text: str) -> None:
+    """Reject a decimal whose exponent is beyond `MAX_EXPONENT`; expanding it would need that many digits."""
+    _, _, exponent = text.lower().partition("e")
+    digits = exponent.lstrip("+-").lstrip("0")
+    if len(digits) > 3 or (digits and int(digits) > MAX_EXPONENT):
+        raise InputError(
+            f"the exponent of {shown(text)} is out of range", remedy=f"use an exponent between +-{MAX_EXPONENT}"
+        )
+
+
+def _remedy(text: str) -> str:
+    lowered = text.lower().lstrip("+-.")
+    if lowered in ("nan", "inf", "infinity"):
+        return "every number is finite; write null for a side without a bound, where a side may be open"
+    if lowered.startswith(("0x", "0o", "0b")):
+        return "write it as a decimal"
+    if _LEADING_ZERO.match(text):
+        return "leave the leading zeros out"
+    if text.startswith("+"):
+        return "leave the plus sign out"
+    if text.startswith((".", "-.")):
+        return "write a digit before the point, for example 0.5"
+    if "_" in text or "," in text:
+        return "write the digits without separators"
+    return "write a decimal such as -0.25 or 1e-3"
+
+
+def decimal_text(value: Fraction) -> str:
+    """Write a non-negative rational as decimal text that reads back exactly, or ``(p/q)`` where no decimal does."""
+    if value < 0:
+        raise ValueError(f"expected a non-negative number, received {value}")
+    twos = fives = 0
+    rest = value.denominator
+    while rest % 2 == 0:
+        rest, twos = rest // 2, twos + 1
+    while rest % 5 == 0:
+        rest, fives = rest // 5, fives + 1
+    if rest != 1:
+        return f"({value.numerator}/{value.denominator})"
+    places = max(twos, fives)
+    digits = str(value.numerator * 10**places // value.denominator)
+    if places == 0:
+        stripped = digits.rstrip("0")
+        zeros = len(digits) - len(stripped)
+        return f"{stripped}e{zeros}" if stripped and zeros > 15 else digits
+    if places > 15 and len(digits) < places:
+        return f"{digits}e-{places}"
+    digits = digits.rjust(places + 1, "0")
+    return f"{digits[:-places]}.{digits[-places:]}"
