@@ -13,18 +13,24 @@ FloatArray: TypeAlias = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Affine:
-    """``y = weight @ x + bias``, each layer one (or one fused) operator of the file; never composed with its neighbours,
-    so that the numbers are exactly the stored ones.
+    """``y = weight @ x + bias``, each layer one (or one fused) operator of the file.
+
+    Never composed with its neighbours, so that the numbers are exactly the stored ones.
 
     Attributes
     ----------
     weight : array, shape (outputs, inputs), float64
         float32 weights widened exactly.
     bias : array, shape (outputs,)
+    weight_error, bias_error : array of the same shape, or None
+        Upper bounds of ``|true - stored|`` where the file's exact number is not a float64 (a division by a constant);
+        None where the stored numbers are exact.
     """
 
     weight: FloatArray
     bias: FloatArray
+    weight_error: FloatArray | None = None
+    bias_error: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,8 @@ class Policy:
         The bytes that were read (onnxruntime runs these same bytes).
     operators : tuple of str
         ONNX operators in graph order, for `inspect`.
+    opset : int
+        Version of the ONNX operator set, 0 where the policy does not come from a file.
     """
 
     layers: tuple[Layer, ...]
@@ -77,6 +85,7 @@ class Policy:
     digest: str = ""
     content: bytes = field(default=b"", repr=False)
     operators: tuple[str, ...] = ()
+    opset: int = 0
 
     def __call__(self, x: Any) -> FloatArray:
         """Forward pass in float64, ``x`` of shape (..., inputs)."""

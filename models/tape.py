@@ -167,7 +167,7 @@ def _without_dead_code(tape: Tape) -> Tape:
         if count + index in needed:
             needed.update(tape.instructions[index].operands)
     renumber = {slot: slot for slot in range(count)}
-    kept = []
+    kept: list[Instruction] = []
     for index, instruction in enumerate(tape.instructions):
         if count + index in needed:
             renumber[count + index] = count + len(kept)
