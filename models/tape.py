@@ -78,6 +78,12 @@ class _Compiler:
             folded = _FOLD[operation](*known)
             if folded is not None:
                 return self.emit("constant", value=folded)
+        if operation == "divide" and known[1]:
+            return self.emit("multiply", operands[0], self.emit("constant", value=1 / known[1]))
+        if operation in _NEUTRAL:
+            for slot, number in zip(operands, reversed(known), strict=True):
+                if number == _NEUTRAL[operation]:
+                    return slot
         instruction = Instruction(operation, operands, value)
         if instruction not in self.slots:
             self.slots[instruction] = len(self.inputs) + len(self.instructions)
@@ -136,6 +142,9 @@ _FOLD: dict[str, Callable[..., Fraction | None]] = {
 }
 
 
+_NEUTRAL = {"add": 0, "multiply": 1}
+
+
 def compile_tape(
     expressions: Sequence[Expression], inputs: Sequence[str], names: Mapping[str, Expression] | None = None
 ) -> Tape:
@@ -153,7 +162,8 @@ def compile_tape(
     Returns
     -------
     Tape
-        Constants are folded exactly (in rationals); instructions that no output needs are dropped.
+        Constants are folded exactly (in rationals), a division by one is a product with its reciprocal, and
+        instructions that no output needs are dropped.
     """
     compiler = _Compiler(inputs)
     outputs = [compiler.compile(expression, names or {}) for expression in expressions]
