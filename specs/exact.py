@@ -95,3 +95,8 @@ def decimal_text(value: Fraction) -> str:
         return f"{digits}e-{places}"
     digits = digits.rjust(places + 1, "0")
     return f"{digits[:-places]}.{digits[-places:]}"
+
+
+def signed_text(value: Fraction) -> str:
+    """`decimal_text` for numbers of either sign, for messages."""
+    return decimal_text(value) if value >= 0 else f"-{decimal_text(-value)}"

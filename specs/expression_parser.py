@@ -22,7 +22,7 @@ from .expressions import FUNCTIONS, Binary, Call, Expression, Name, Negate, Numb
 MAX_LENGTH = 4096
 MAX_DEPTH = 64
 MAX_POWER = 64
-MAX_SIZE = 2048
+MAX_SIZE = 1024
 """Bound of the work an expression can cause when constants are folded exactly: leaves, multiplied by exponents."""
 
 _TOKEN = re.compile(
