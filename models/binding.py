@@ -176,11 +176,12 @@ class _Binder:
         known = (*self.plant.states, *parameters)
         if not self.observe:
             self.fail("controller.observe", "the policy must observe something", "list the states it sees")
-        for position, expression in enumerate(self.observe.values()):
+        for position, (label, expression) in enumerate(self.observe.items()):
+            key = f"controller.observe.{label}"
             for name in sorted(names_in(expression)):
                 if name not in known:
                     self.fail(
-                        f"controller.observe.{position}",
+                        key if key in self.specification.lines else f"controller.observe.{position}",
                         f"an observation is made of states; {name} is none",
                         suggestion(name, known, "states and parameters"),
                     )
@@ -295,11 +296,11 @@ class _Binder:
 
     def delayed_action(self) -> tuple[Fraction, ...]:
         given = self.specification.controller.delayed_action
-        self.require_names("controller.delayed_action", given, self.plant.inputs, "input")
+        self.require_names("controller.delay.action", given, self.plant.inputs, "input")
         return tuple(given.get(name, Fraction(0)) for name in self.plant.inputs)
 
     def disturbances(self) -> tuple[BoundDisturbance, ...]:
-        given, key = self.specification.perturbation.disturbances, "perturbation.disturbances"
+        given, key = self.specification.perturbation.disturbances, "perturbation.disturbance"
         self.require_names(key, given, self.plant.disturbances, "disturbance")
         bound = []
         for name in self.plant.disturbances:
