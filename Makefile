@@ -29,8 +29,8 @@ $(STAMP): pyproject.toml constraints.txt
 	    fi; \
 	done; \
 	if [ -z "$$python" ]; then \
-	    echo "setrl needs Python 3.11 to 3.13; $(or $(PYTHON),python3) is" \
-	        "$$($(or $(PYTHON),python3) --version 2>&1 | head -n 1)." \
+	    found=$$("$(or $(PYTHON),python3)" --version 2>/dev/null || echo 'not there'); \
+	    echo "setrl needs Python 3.11 to 3.13, but $(or $(PYTHON),python3) is $$found." \
 	        "Install one of them, or name it: make PYTHON=/path/to/python3.12 env" >&2; \
 	    exit 1; \
 	fi; \

@@ -8,7 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .models.onnx_reader import read_policy as read_policy
+    from .models.plant import load_plant as load_plant
     from .specs.errors import SetrlError as SetrlError
+    from .specs.reader import read_specification as read_specification
 
 __version__ = "0.1.0"
 
@@ -16,6 +19,9 @@ __version__ = "0.1.0"
 # the import contracts see an import here: the rooms below may read `__version__` without depending on the rooms above.
 _PUBLIC = {
     "SetrlError": "specs.errors",
+    "load_plant": "models.plant",
+    "read_policy": "models.onnx_reader",
+    "read_specification": "specs.reader",
 }
 _ROOMS = ("models", "specs", "train", "verify")
 

@@ -2,6 +2,7 @@
 
 A page's blocks run from top to bottom in one folder of its own, which holds the shipped policy as ``policy.onnx``.
 A console line ``$ command  # exit 5`` states its exit code, 0 where nothing is said; ``console no-run`` is only read.
+A yaml block that begins with ``# name.yaml`` is that file.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 EXAMPLES = (ROOT / "models").rglob("*.onnx")
 FENCE = re.compile(r"^(?P<indent> *)```(?P<info>[^\n`]*)\n(?P<body>.*?)^(?P=indent)```\s*$", re.MULTILINE | re.DOTALL)
 EXIT = re.compile(r"#\s*exit (\d+)\s*$")
+FILE = re.compile(r"# ([\w-]+\.yaml)\n")
 LINK = re.compile(r"\]\(([^)\s#]+)(?:#[^)]*)?\)")
 
 landed = pytest.mark.skipif(
@@ -60,7 +62,7 @@ def runnable(page: Path) -> list[Block]:
     return [
         block
         for block in blocks(page.read_text(encoding="utf-8"))
-        if block.language in ("console", "python") and "no-run" not in block.flags
+        if block.language in ("console", "python", "yaml") and "no-run" not in block.flags
     ]
 
 
@@ -94,7 +96,9 @@ def run_page(page: Path) -> None:
         where = f"{page.name}:{block.line}"
         if block.language == "python":
             exec(compile("\n" * block.line + block.body, str(page), "exec"), names)  # noqa: S102
-        else:
+        elif name := FILE.match(block.body):
+            Path(name[1]).write_text(block.body, encoding="utf-8")
+        elif block.language == "console":
             for command, expected in commands(block):
                 run_command(command, expected, where)
 
@@ -143,6 +147,7 @@ def test_a_page_that_is_right_passes(folder: Path) -> None:
         "```console\n$ setrl --version > version.txt\n$ setrl \\\n  no-such-command   # why # exit 2\n```\n"
         "```python\nimport pathlib, setrl\n```\n"
         "```python\nassert setrl.__version__ in pathlib.Path('version.txt').read_text()\n```\n"
+        "```yaml\n# some.yaml\na: 1\n```\n```python\nassert pathlib.Path('some.yaml').exists()\n```\n"
         "```console no-run\n$ exit 3\n```\n"
     )
     run_page(page)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+import setrl
+
 ROOT = Path(__file__).resolve().parents[1]
 HEAVY = (
     "control",
@@ -53,3 +55,12 @@ def test_the_probe_sees_a_heavy_module() -> None:
 
 def test_specs_are_read_without_a_numbers_library() -> None:
     assert not modules_after("import setrl.specs.specification") & (set(HEAVY) - {"pydantic"})
+
+
+def test_every_public_name_is_found() -> None:
+    assert all(getattr(setrl, name) is not None for name in setrl.__all__)
+
+
+def test_a_name_that_is_not_public_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_name"):
+        _ = setrl.no_such_name
