@@ -32,7 +32,7 @@ from .fields import (
     found,
     problem,
 )
-from .plant_document import Absent, AtLeastOne, Document, PlantDocument
+from .plant_document import NO_ENTRIES, Absent, AtLeastOne, Document, PlantDocument
 
 
 def _varies(value: object) -> str:
@@ -77,7 +77,7 @@ class DelayDocument(Document):
 
     periods: Whole
     """Whole periods between an observation and the action computed from it."""
-    action: dict[Identifier, ExactNumber] = {}
+    action: dict[Identifier, ExactNumber] = NO_ENTRIES
     """What acts until the first computed action does; inputs that are not named get 0."""
 
 
@@ -139,7 +139,7 @@ class PerturbationDocument(Document):
 
     observation: ObservationRadius = Fraction(0)
     """Radius of the box that is added to the observation, fresh in every period."""
-    disturbance: dict[Identifier, DisturbanceBounds] = {}
+    disturbance: dict[Identifier, DisturbanceBounds] = NO_ENTRIES
     """Bounds of the plant's disturbances; those that are not named are 0."""
 
 
@@ -238,7 +238,7 @@ class RewardDocument(Document):
 
     weights: Annotated[dict[Identifier, NonNegative], AtLeastOne]
     """Weight of every state that counts."""
-    target: dict[Identifier, ExactNumber] = {}
+    target: dict[Identifier, ExactNumber] = NO_ENTRIES
     """Target of the weighted states; 0 where it is left out."""
     discount: Discount = Fraction(1)
     """Factor per period, in (0, 1]."""

@@ -13,6 +13,7 @@ from .fields import Constant, DynamicsKey, ExpressionText, Identifier, Label, Te
 
 Absent: TypeAlias = SkipJsonSchema[None]
 AtLeastOne = Field(min_length=1)
+NO_ENTRIES: Any = Field(default_factory=dict)
 
 
 class Document(BaseModel):
@@ -60,9 +61,9 @@ class PlantDocument(Document):
     """Unit of every state, in order."""
     inputs: Annotated[dict[Identifier, Unit], AtLeastOne]
     """Unit of every input, in order; the action of the policy."""
-    disturbances: dict[Identifier, Unit] = {}
+    disturbances: dict[Identifier, Unit] = NO_ENTRIES
     """Unit of every disturbance, in order."""
-    parameters: dict[Identifier, Parameter] = {}
+    parameters: dict[Identifier, Parameter] = NO_ENTRIES
     """Constants of the dynamics."""
     dynamics: Annotated[dict[DynamicsKey, ExpressionText], AtLeastOne]
     """Time derivative of every state; with keys written 'x+', the next state of a discrete-time plant."""

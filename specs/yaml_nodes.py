@@ -20,6 +20,7 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
 MAX_NODES = 20_000
 MAX_KEY_LENGTH = 200
+_TOO_LARGE = "a specification is a short text; is this the right file?"
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,7 @@ class _Builder:
     def check(self, event: yaml.NodeEvent) -> None:
         self.count += 1
         if self.count > MAX_NODES:
-            self.fail(f"more than {MAX_NODES} values", "a specification is a short text; is this the right file?")
+            self.fail(f"more than {MAX_NODES} values", _TOO_LARGE)
         if event.anchor is not None:
             self.fail(f"found the anchor {shown(f'&{event.anchor}')}", "write the value out; anchors are not read")
         tag = getattr(event, "tag", None)
