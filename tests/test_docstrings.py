@@ -38,14 +38,26 @@ def own_members(holder: ModuleType | type, module: str) -> Iterator[tuple[str, A
                 yield name, function
 
 
+def methods_of_protocols(value: type) -> set[str]:
+    """Methods that the class owes to a protocol of ours: the protocol says what they do."""
+    asked: set[str] = set()
+    for module in modules():
+        for _, protocol in own_members(importlib.import_module(module), module):
+            if getattr(protocol, "_is_protocol", False):
+                methods = {name for name, _ in own_members(protocol, module)}
+                asked |= methods if all(hasattr(value, name) for name in methods) else set()
+    return asked
+
+
 def public(module: str) -> Iterator[tuple[str, Any, bool]]:
     """Name, object, and whether it needs a docstring of its own: a protocol's methods and overriding ones do not."""
     for name, value in own_members(importlib.import_module(module), module):
         yield name, value, True
         if inspect.isclass(value):
+            documented_elsewhere = methods_of_protocols(value)
             for method, function in own_members(value, module):
                 inherited = any(hasattr(base, method) for base in value.__mro__[1:])
-                yield f"{name}.{method}", function, not inherited and not getattr(value, "_is_protocol", False)
+                yield f"{name}.{method}", function, not inherited and method not in documented_elsewhere
 
 
 def names_of(entries: list[Any]) -> list[str]:
