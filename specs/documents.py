@@ -32,7 +32,7 @@ from .fields import (
     found,
     problem,
 )
-from .plant_document import NO_ENTRIES, Absent, AtLeastOne, Document, PlantDocument
+from .plant_document import NO_ENTRIES, AtLeastOne, Document, PlantDocument
 
 
 def _varies(value: object) -> str:
@@ -49,11 +49,11 @@ Varies = Annotated[
 class AffineDocument(Document):
     """y = matrix @ x + offset, or y = scale * x + offset."""
 
-    scale: Components | Absent = None
+    scale: Components | None = None
     """One number for all components, or one per component; excludes matrix."""
     offset: Components = Fraction(0)
     """One number for all components, or one per component."""
-    matrix: Annotated[list[Annotated[list[ExactNumber], AtLeastOne]], AtLeastOne] | Absent = None
+    matrix: Annotated[list[Annotated[list[ExactNumber], AtLeastOne]], AtLeastOne] | None = None
     """One row per component of the result."""
 
     @model_validator(mode="after")
@@ -101,15 +101,15 @@ class ControllerDocument(Document):
 
     period: Positive
     """Control period in seconds."""
-    observe: Observe | Absent = None
+    observe: Observe | None = None
     """What the policy sees: expressions of the states; all states in the plant's order where it is left out."""
-    before: AffineDocument | Absent = None
+    before: AffineDocument | None = None
     """Affine map of the observation, before the network."""
-    after: AffineDocument | Absent = None
+    after: AffineDocument | None = None
     """Affine map of the network's output; its result is the action."""
-    clip: Clip | Absent = None
+    clip: Clip | None = None
     """Clipping of the action, after all maps."""
-    delay: Delay | Absent = None
+    delay: Delay | None = None
     """Delay of the action in whole periods."""
 
 
@@ -200,17 +200,17 @@ class RequirementDocument(Document):
         }
     )
 
-    avoid: RegionDocument | Absent = None
+    avoid: RegionDocument | None = None
     """No trajectory is in the region at any time of the window."""
-    stay: RegionDocument | Absent = None
+    stay: RegionDocument | None = None
     """Every trajectory is in the region at every time of the window."""
-    reach: RegionDocument | Absent = None
+    reach: RegionDocument | None = None
     """At some time of the window every trajectory is in the region."""
-    name: Label | Absent = None
+    name: Label | None = None
     """Name in messages and reports; unique."""
-    at: NonNegative | Absent = None
+    at: NonNegative | None = None
     """A time point, a multiple of the period; excludes during. Default of reach: the horizon."""
-    during: Closed | Absent = None
+    during: Closed | None = None
     """A window [t1, t2]. Default of avoid and stay: [0, horizon]."""
 
     @model_validator(mode="after")
@@ -242,7 +242,7 @@ class RewardDocument(Document):
     """Target of the weighted states; 0 where it is left out."""
     discount: Discount = Fraction(1)
     """Factor per period, in (0, 1]."""
-    penalty: PenaltyDocument | Absent = None
+    penalty: PenaltyDocument | None = None
     """Cost of being in a region at the end of a period."""
 
 
@@ -259,7 +259,7 @@ class SpecificationDocument(Document):
 
     setrl: Version
     """Version of this language."""
-    description: Text | Absent = None
+    description: Text | None = None
     """What the specification states and where it comes from."""
     plant: PlantReference
     """A shipped plant's name, a path to a plant file relative to this file, or an inline plant."""
@@ -271,9 +271,9 @@ class SpecificationDocument(Document):
     """Every state: a number, or [lower, upper]."""
     perturbation: PerturbationDocument = PerturbationDocument.model_construct()
     """Bounded perturbations; none where it is left out."""
-    requirements: Annotated[list[RequirementDocument], AtLeastOne] | Absent = None
+    requirements: Annotated[list[RequirementDocument], AtLeastOne] | None = None
     """What must hold for every trajectory."""
-    reward: RewardDocument | Absent = None
+    reward: RewardDocument | None = None
     """Cumulative reward, whose worst case is computed."""
     allow_unknown: Flag = False
     """Whether UNKNOWN passes a gate."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Annotated, Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field, Tag, model_validator
-from pydantic.json_schema import SkipJsonSchema
 
 from .exact import shown
 from .expression_parser import suggestion
 from .fields import Constant, DynamicsKey, ExpressionText, Identifier, Label, Text, Unit, by_kind, found, problem
 
-Absent: TypeAlias = SkipJsonSchema[None]
 AtLeastOne = Field(min_length=1)
 NO_ENTRIES: Any = Field(default_factory=dict)
 
@@ -53,9 +51,9 @@ Parameter: TypeAlias = Annotated[
 class PlantDocument(Document):
     """The controlled system: names with their units, and one expression per state."""
 
-    name: Label | Absent = None
+    name: Label | None = None
     """Name in messages; the file's name where it is left out."""
-    description: Text | Absent = None
+    description: Text | None = None
     """What the plant is and where its equations come from."""
     states: Annotated[dict[Identifier, Unit], AtLeastOne]
     """Unit of every state, in order."""

@@ -17,9 +17,15 @@ KINDS: dict[str, tuple[type[Document], str]] = {
 
 
 class _Generator(GenerateJsonSchema):
-    """Leaves defaults to the descriptions (they are exact numbers, which JSON has not) and closes every mapping."""
+    """Leaves defaults to the descriptions (they are exact numbers, which JSON has not) and closes every mapping.
+
+    A key that may be left out is still not null where it stands.
+    """
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> dict[str, Any]:
+        return self.generate_inner(schema["schema"])
+
+    def nullable_schema(self, schema: core_schema.NullableSchema) -> dict[str, Any]:
         return self.generate_inner(schema["schema"])
 
     def dict_schema(self, schema: core_schema.DictSchema) -> dict[str, Any]:
