@@ -1,0 +1,221 @@
+"""Interval arithmetic on arrays in midpoint-radius form: every operation encloses, rounding included.
+
+A `Ball` is the set of all arrays X with ``|X - mid| <= rad`` elementwise. Non-finite radii mean "no bound"; comparisons
+that prove something must be true comparisons, so they never hold for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import rounding
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    """Array of intervals ``[mid - rad, mid + rad]``; `mid` and `rad` broadcast to the same shape, rad >= 0."""
+
+    mid: Array
+    rad: Array
+
+    @property
+    def lower(self) -> Array:
+        """Float array below every member."""
+        return rounding.lower(self.mid, self.rad)  # type: ignore[no-any-return]
+
+    @property
+    def upper(self) -> Array:
+        """Float array above every member."""
+        return rounding.upper(self.mid, self.rad)  # type: ignore[no-any-return]
+
+    @property
+    def magnitude(self) -> Array:
+        """Upper bound of the absolute value."""
+        return rounding.enlarged(np.abs(self.mid) + self.rad, 1)  # type: ignore[no-any-return]
+
+    def __getitem__(self, index: Any) -> Ball:
+        return Ball(self.mid[index], self.rad[index])
+
+
+def exact(values: Any) -> Ball:
+    """Floats that are meant exactly."""
+    mid = np.asarray(values, dtype=np.float64)
+    return Ball(mid, np.zeros_like(mid))
+
+
+def rational(number: Fraction) -> Ball:
+    """Enclosure of one rational, shape ()."""
+    mid, rad = rounding.ball_of(number)
+    return Ball(np.float64(mid), np.float64(rad))  # type: ignore[arg-type]
+
+
+def rationals(numbers: Iterable[Fraction]) -> Ball:
+    """Enclosure of a sequence of rationals, shape (n,)."""
+    return Ball(*rounding.balls_of(numbers))
+
+
+def rational_matrix(rows: Iterable[Iterable[Fraction]]) -> Ball:
+    """Enclosure of a matrix of rationals."""
+    balls = [rationals(row) for row in rows]
+    return Ball(np.array([b.mid for b in balls]), np.array([b.rad for b in balls]))
+
+
+def hull(low: Array, high: Array) -> Ball:
+    """Smallest ball known to contain ``[low, high]``."""
+    return Ball(*rounding.center_radius(low, high))
+
+
+def add(a: Ball, b: Ball) -> Ball:
+    """a + b."""
+    mid = a.mid + b.mid
+    return Ball(mid, rounding.enlarged(a.rad + b.rad + rounding.relative_error(mid, 1), 3))
+
+
+def subtract(a: Ball, b: Ball) -> Ball:
+    """a - b."""
+    mid = a.mid - b.mid
+    return Ball(mid, rounding.enlarged(a.rad + b.rad + rounding.relative_error(mid, 1), 3))
+
+
+def negate(a: Ball) -> Ball:
+    """-a, exactly."""
+    return Ball(-a.mid, a.rad)
+
+
+def multiply(a: Ball, b: Ball) -> Ball:
+    """a b: ``|ab - a0 b0| <= |a0| rb + ra (|b0| + rb)``."""
+    mid = a.mid * b.mid
+    rad = np.abs(a.mid) * b.rad + a.rad * (np.abs(b.mid) + b.rad) + rounding.relative_error(mid, 1)
+    return Ball(mid, rounding.enlarged(rad, 5))
+
+
+def scale(a: Ball, factor: float) -> Ball:
+    """a times a float that is meant exactly."""
+    mid = a.mid * factor
+    return Ball(mid, rounding.enlarged(a.rad * abs(factor) + rounding.relative_error(mid, 1), 3))
+
+
+def divide_exact(a: Ball, divisor: float) -> Ball:
+    """a divided by a non-zero float that is meant exactly."""
+    mid = a.mid / divisor
+    return Ball(mid, rounding.enlarged(a.rad / abs(divisor) + rounding.relative_error(mid, 1), 3))
+
+
+def square(a: Ball) -> Ball:
+    """a^2, tighter than a a: with m = |a0| and r the radius, a^2 lies in [max(m - r, 0)^2, (m + r)^2]."""
+    magnitude = np.abs(a.mid)
+    least = np.maximum(rounding.down(magnitude - a.rad), 0.0)
+    most = rounding.up(magnitude + a.rad)
+    # nextafter may leave 0 downwards; a square is never below 0
+    return hull(np.maximum(rounding.down(least * least), 0.0), rounding.up(most * most))
+
+
+def divide(a: Ball, b: Ball) -> Ball:
+    """a / b; the radius is inf where b contains 0.
+
+    With q = a0 / b0: ``|a/b - q| <= (ra + |q| rb) / (|b0| - rb)``.
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        distance = rounding.down(rounding.down(np.abs(b.mid) - b.rad))
+        mid = a.mid / b.mid
+        spread = rounding.enlarged(a.rad + rounding.enlarged(np.abs(mid), 1) * b.rad, 3)
+        rad = rounding.enlarged(spread / distance + rounding.relative_error(mid, 1), 3)
+        sound = (distance > 0.0) & np.isfinite(rad)
+        return Ball(np.where(sound, mid, 0.0), np.where(sound, rad, np.inf))
+
+
+def _monotone(a: Ball, function: Any) -> Ball:
+    """Enclosure of an increasing elementary function from its values at both ends."""
+    with np.errstate(all="ignore"):
+        low, high = function(a.lower), function(a.upper)
+        low = low - rounding.elementary_error(low)
+        high = high + rounding.elementary_error(high)
+        result = hull(rounding.down(low), rounding.up(high))
+        # NaN (outside the domain) and overflow become "no bound"
+        sound = np.isfinite(result.mid) & np.isfinite(result.rad)
+        return Ball(np.where(sound, result.mid, 0.0), np.where(sound, result.rad, np.inf))
+
+
+def exp(a: Ball) -> Ball:
+    """exp(a)."""
+    return _monotone(a, np.exp)
+
+
+def log(a: Ball) -> Ball:
+    """log(a); no bound where a touches 0 or below."""
+    return _monotone(a, np.log)
+
+
+def sqrt(a: Ball) -> Ball:
+    """sqrt(a); no bound where a goes below 0."""
+    return _monotone(a, np.sqrt)
+
+
+def tanh(a: Ball) -> Ball:
+    """tanh(a)."""
+    return _monotone(a, np.tanh)
+
+
+def sincos(a: Ball) -> tuple[Ball, Ball]:
+    """sin(a) and cos(a).
+
+    With a = m + d, |d| <= r <= 3/2: sin(a) = sin m cos d + cos m sin d. Where the derivative keeps its sign, that is
+    |cos m| cos r > |sin m| sin r, the range is ``sin m cos r +- |cos m| sin r``; else it lies in
+    ``sin m (1 + cos r)/2 +- (|sin m| (1 - cos r)/2 + |cos m| sin r)``.
+    """
+    with np.errstate(all="ignore"):
+        usable = a.rad <= 1.5
+        rad = np.where(usable, a.rad, 1.5)
+        mid = np.where(usable, a.mid, 0.0)
+        sine, cosine = np.sin(mid), np.cos(mid)
+        # sin r <= r, and 1 - cos r = 2 sin^2(r/2) without cancellation
+        sin_r = np.minimum(rounding.enlarged(np.sin(rad), 8), rad)
+        half = np.sin(0.5 * rad)
+        drop = rounding.enlarged(2.0 * half * half, 20)
+        unbounded = Ball(np.zeros_like(mid), np.ones_like(mid))
+        results = []
+        for value, slope in ((sine, cosine), (cosine, sine)):
+            error = rounding.elementary_error(value) + rounding.elementary_error(slope)
+            # strict margin of this float comparison: 16 units on both products
+            steady = np.abs(slope) * (1.0 - drop) > rounding.enlarged(np.abs(value) * sin_r, 64)
+            slope_part = rounding.enlarged(np.abs(slope), 10) * sin_r
+            value_abs = rounding.enlarged(np.abs(value), 10)
+            low_drop = 2.0 * half * half
+            # sin m cos r = sin m - sin m (1 - cos r)
+            steady_mid = value - value * low_drop
+            steady_rad = slope_part + error + rounding.relative_error(value_abs, 40) + rounding.TINY
+            wide_mid = value - 0.5 * value * low_drop
+            wide_rad = slope_part + 0.5 * value_abs * drop + error + rounding.relative_error(value_abs, 40)
+            center = np.where(steady, steady_mid, wide_mid)
+            radius = rounding.enlarged(np.where(steady, steady_rad, wide_rad), 8)
+            good = usable & np.isfinite(radius)
+            results.append(Ball(np.where(good, center, unbounded.mid), np.where(good, radius, unbounded.rad)))
+        return results[0], results[1]
+
+
+class BallAlgebra:
+    """The algebra of balls for `models.tape.run`: interval evaluation of a tape."""
+
+    def constant(self, value: Fraction) -> Ball:
+        """Enclosure of a rational constant."""
+        return rational(value)
+
+    add = staticmethod(add)
+    subtract = staticmethod(subtract)
+    multiply = staticmethod(multiply)
+    divide = staticmethod(divide)
+    negate = staticmethod(negate)
+    square = staticmethod(square)
+    sincos = staticmethod(sincos)
+    exp = staticmethod(exp)
+    log = staticmethod(log)
+    sqrt = staticmethod(sqrt)
+    tanh = staticmethod(tanh)

@@ -1,0 +1,298 @@
+"""Flow enclosure by 2-jets: one integrator step of a batch of joint sets (states, inputs, disturbances).
+
+Inputs and disturbances are constant over a step, so they are states with derivative zero. With the time-Taylor coefficients
+phi_k of the flow map as functions of the start point, P = sum_k phi_k(c) t^k, and K the time order:
+
+    z(t) in P(c) + DP(c) d + 1/2 d' H d + z_[K](B) t^K,    H the Hessian of P over the set's enclosing interval,
+
+where B is an a-priori enclosure of all trajectories over the step: box(X) + [0, h] f(B) inside B (Picard).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.tape import Tape, run
+from . import balls, rounding
+from .balls import Ball, BallAlgebra
+from .quadratic_map import enclose_map
+from .series import flow_jets, map_jets
+from .zonotope import Zonotope, append_rows, concatenate, linear_map
+
+Array = NDArray[np.float64]
+
+PICARD_ITERATIONS = 16
+
+
+def field(tape: Tape, box: Ball) -> Ball:
+    """Interval evaluation of a tape: box of shape (B, d) to (B, outputs)."""
+    values = run(tape, BallAlgebra(), [box[:, i] for i in range(box.mid.shape[1])])
+    shape = box.mid.shape[0]
+    mids = [np.broadcast_to(v.mid, (shape,)) for v in values]
+    rads = [np.broadcast_to(v.rad, (shape,)) for v in values]
+    return Ball(np.stack(mids, 1), np.stack(rads, 1))
+
+
+def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray[np.bool_]]:
+    """Boxes that contain every trajectory from `box` over [0, step], by Picard iteration.
+
+    If ``X + [0, h] f(B)`` is contained in B, then B contains all solutions that start in X, they exist on [0, h], and
+    the left-hand side encloses them too.
+
+    Parameters
+    ----------
+    tape : Tape
+        Vector field; outputs are the derivatives of the first n inputs, the others are constant.
+    box : Ball, shape (B, d)
+    step : Ball, shape ()
+
+    Returns
+    -------
+    Ball, shape (B, d)
+    array of bool, shape (B,)
+        Where inclusion was proved. Elsewhere the box means nothing.
+    """
+    states = len(tape.outputs)
+    low, high = box.lower, box.upper
+    start_low, start_high = low[:, :states], high[:, :states]
+    longest = rounding.up(step.mid + step.rad)
+    proved = np.zeros(low.shape[0], dtype=bool)
+
+    def image(low: Array, high: Array) -> tuple[Array, Array]:
+        """X + [0, h] f([low, high]), with the unchanged inputs appended."""
+        rate = field(tape, balls.hull(low, high))
+        down = rounding.down(np.minimum(rounding.down(longest * rate.lower), 0.0))
+        up = rounding.up(np.maximum(rounding.up(longest * rate.upper), 0.0))
+        new_low, new_high = rounding.down(start_low + down), rounding.up(start_high + up)
+        return np.concatenate([new_low, low[:, states:]], 1), np.concatenate([new_high, high[:, states:]], 1)
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        result_low, result_high = low, high
+        low, high = image(low, high)
+        for _ in range(PICARD_ITERATIONS):
+            # grow the guess: the image of a slightly larger box has to fit
+            slack = 0.5 * ((high - low) - (box.upper - box.lower))[:, :states]
+            slack = np.maximum(slack, 2.0**-40 * (np.abs(low) + np.abs(high))[:, :states]) + rounding.TINY
+            low, high = low.copy(), high.copy()
+            low[:, :states] -= slack
+            high[:, :states] += slack
+            new_low, new_high = image(low, high)
+            inside = ((new_low >= low) & (new_high <= high)).all(1)
+            inside &= np.isfinite(new_low).all(1) & np.isfinite(new_high).all(1)
+            fresh = inside & ~proved
+            result_low = np.where(fresh[:, None], new_low, result_low)
+            result_high = np.where(fresh[:, None], new_high, result_high)
+            proved |= inside
+            if proved.all():
+                break
+            low, high = np.minimum(new_low, low), np.maximum(new_high, high)
+    return balls.hull(result_low, result_high), proved
+
+
+def image_of(tape: Tape, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
+    """Enclose the image of a zonotope under a tape (observation maps, discrete-time plants); see `enclose_map`."""
+    dimension = z.dimension
+    center = _cells_first(map_jets(tape, balls.exact(z.center), 1))
+    box = _cells_first(map_jets(tape, z.interval, 2))
+    return enclose_map(center[..., 0], center[..., 1:], box[..., 1 + dimension :], z, rows)
+
+
+def powers(time: Ball, terms: int) -> Ball:
+    """1, t, t^2, ..., shape (terms, *time.shape)."""
+    values = [balls.exact(np.ones_like(time.mid))]
+    for _ in range(terms - 1):
+        values.append(balls.multiply(values[-1], time))
+    return Ball(np.stack([v.mid for v in values]), np.stack([v.rad for v in values]))
+
+
+def combine(weights: Ball, coefficients: Ball) -> Ball:
+    """``sum_k weights[k] coefficients[k]``, weights (K,), coefficients (K, ...)."""
+    shape = (-1,) + (1,) * (coefficients.mid.ndim - 1)
+    w, w_rad = weights.mid.reshape(shape), weights.rad.reshape(shape)
+    w_abs = np.abs(w) + w_rad
+    size = np.abs(coefficients.mid)
+    mid = (w * coefficients.mid).sum(0)
+    factor = rounding.product_factor(weights.mid.shape[0])
+    rad = (w_abs * (coefficients.rad + factor * size) + w_rad * size).sum(0)
+    return Ball(mid, rounding.enlarged(rad, weights.mid.shape[0] + 6))
+
+
+@dataclass(frozen=True)
+class JetStep:
+    """One integrator step of a batch of joint sets.
+
+    Attributes
+    ----------
+    start : Zonotope, shape (B, d)
+        States first, then what is constant over the step.
+    duration : Fraction
+    value, jacobian, hessian : Ball
+        Time coefficients 0 .. K - 1 of the flow: (K, B, n), (K, B, n, d) at the center, (K, B, n, d (d + 1)/2) over the
+        enclosing interval.
+    remainder : Ball, shape (B, n)
+        Time coefficient K over the a-priori box.
+    end : Zonotope, shape (B, d)
+        Joint set at the end.
+    added : array, shape (B, n)
+        Half-width that this step added in all.
+    truncation : array, shape (B, n)
+        The part of it that shorter steps would diminish: the time remainder.
+    sound : array of bool, shape (B,)
+        Whether the a-priori enclosure was proved and everything is finite; elsewhere the step means nothing.
+    """
+
+    start: Zonotope
+    duration: Fraction
+    value: Ball
+    jacobian: Ball
+    hessian: Ball
+    remainder: Ball
+    end: Zonotope
+    added: Array
+    truncation: Array
+    sound: NDArray[np.bool_]
+
+    def select(self, cells: Any) -> JetStep:
+        """The same step of some cells."""
+        return JetStep(
+            self.start[cells],
+            self.duration,
+            self.value[:, cells],
+            self.jacobian[:, cells],
+            self.hessian[:, cells],
+            self.remainder[cells],
+            self.end[cells],
+            self.added[cells],
+            self.truncation[cells],
+            self.sound[cells],
+        )
+
+    def time_intervals(self, slabs: int) -> list[Zonotope]:
+        """Sets that contain the states at every time of each of `slabs` equal parts of the step.
+
+        Around the middle t_m of a part, with |tau| <= delta: P(t_m + tau) in P(t_m) + P'(t_m) tau +- delta^2/2 |P''|,
+        time as one more generator; DP(t) d in DP(t_m) d +- |DP'| a delta; the second-order and remainder terms at the
+        part's end.
+        """
+        spread = self.start.spread
+        result = []
+        for part in range(slabs):
+            middle = balls.rational(self.duration * (2 * part + 1) / (2 * slabs))
+            half = balls.rational(self.duration / (2 * slabs))
+            last = balls.rational(self.duration * (part + 1) / slabs)
+            result.append(_slab(self, spread, middle, half, last))
+        return result
+
+
+def _cells_first(jets: Ball) -> Ball:
+    """(..., n, B, C) to (..., B, n, C)."""
+    return Ball(np.swapaxes(jets.mid, -3, -2), np.swapaxes(jets.rad, -3, -2))
+
+
+STACKED_CELLS = 12
+"""Up to so many cells, one evaluation of three stacked points is faster than three of the orders that are needed."""
+
+
+def _three_jets(tape: Tape, z: Zonotope, box: Ball, prior: Ball, order: int) -> tuple[Ball, Ball, Ball]:
+    """Jets at the center (order 1), over the enclosing interval (order 2) and over the a-priori box (order 0)."""
+    center = balls.exact(z.center)
+    if z.batch > STACKED_CELLS:
+        jets = [flow_jets(tape, p, o, order + (o == 0)) for p, o in ((center, 1), (box, 2), (prior, 0))]
+        return _cells_first(jets[0]), _cells_first(jets[1]), _cells_first(jets[2])
+    points = (center, box, prior)
+    stacked = Ball(np.concatenate([p.mid for p in points]), np.concatenate([p.rad for p in points]))
+    jets = _cells_first(flow_jets(tape, stacked, 2, order + 1))
+    count = z.batch
+    return jets[:, :count], jets[:, count : 2 * count], jets[:, 2 * count :]
+
+
+def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int) -> JetStep:
+    """Enclose one step; see the module's formula.
+
+    Parameters
+    ----------
+    tape : Tape
+        Vector field of the first n coordinates.
+    z : Zonotope, shape (B, d)
+    duration : Fraction
+    order : int
+        Time order K.
+    rows : int
+        New generators of the quadratic map.
+
+    Returns
+    -------
+    JetStep
+    """
+    states, dimension = len(tape.outputs), z.dimension
+    step = balls.rational(duration)
+    box = z.interval
+    prior, proved = a_priori_enclosure(tape, box, step)
+    with np.errstate(invalid="ignore", over="ignore"):
+        center, over_box, prior_jets = _three_jets(tape, z, box, prior, order)
+        remainder = prior_jets[order, ..., 0]
+        weights = powers(step, order + 1)
+        value, jacobian = center[:order, ..., 0], center[:order, ..., 1 : 1 + dimension]
+        hessian = over_box[:order, ..., 1 + dimension :]
+        head = weights[:order]
+        image, added = enclose_map(
+            combine(head, value), combine(head, jacobian), combine(head, hessian), z, rows
+        )
+        rest = balls.multiply(remainder, weights[order])
+        shifted = balls.add(Ball(image.center, np.zeros_like(image.center)), rest)
+        image = Zonotope(shifted.mid, image.generators, rounding.enlarged(image.radius + shifted.rad, 1))
+        end = concatenate(image, z.coordinates(slice(states, dimension)))
+        finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
+    added = rounding.enlarged(added + rest.magnitude, 2)
+    return JetStep(z, duration, value, jacobian, hessian, remainder, end, added, rest.magnitude, proved & finite)
+
+
+def _slab(step: JetStep, spread: Array, middle: Ball, half: Ball, last: Ball) -> Zonotope:
+    """One part of a step, times within `half` of `middle`, the last one `last`."""
+    terms = step.value.mid.shape[0]
+    count = np.arange(terms, dtype=np.float64)
+    at_middle, at_last = powers(middle, terms), powers(last, terms + 1)
+    zero = balls.exact(np.zeros(1))
+
+    def shifted(weights: Ball, by: int) -> Ball:
+        """Weights of the by-th time derivative: k (k - 1) ... t^(k - by)."""
+        factor = count.copy()
+        for i in range(1, by):
+            factor = factor * (count - i)
+        tail = weights[: terms - by]
+        mid = np.concatenate([np.repeat(zero.mid, by), tail.mid])
+        rad = np.concatenate([np.repeat(zero.rad, by), tail.rad])
+        return balls.multiply(Ball(mid, rad), balls.exact(np.abs(factor)))
+
+    def largest(weights: Ball, coefficients: Ball) -> Array:
+        """Bound of |sum_k w_k c_k| for every time up to the part's end."""
+        bound = combine(balls.exact(weights.upper), balls.exact(coefficients.magnitude))
+        return bound.upper
+
+    value = combine(at_middle, step.value)
+    jacobian = combine(at_middle, step.jacobian)
+    linear = linear_map(replace(step.start, center=np.zeros_like(step.start.center)), jacobian, value)
+    velocity = combine(shifted(at_middle, 1), step.value)
+    delta = half.upper
+    time_row = (velocity.mid * delta)[:, None, :]
+    extra = velocity.rad * delta + rounding.relative_error(time_row[:, 0], 1)
+    extra = extra + 0.5 * delta * delta * largest(shifted(at_last, 2), step.value)
+    drift = largest(shifted(at_last, 1), step.jacobian)
+    extra = extra + delta * (drift @ spread[:, :, None])[:, :, 0]
+    curvature = largest(at_last[:terms], step.hessian)
+    extra = extra + _half_quadratic(curvature, spread)
+    extra = extra + step.remainder.magnitude * at_last.upper[terms]
+    radius = rounding.enlarged(linear.radius + rounding.enlarged(extra, 4 * spread.shape[1] + 16), 2)
+    return append_rows(Zonotope(linear.center, linear.generators, radius), time_row)
+
+
+def _half_quadratic(curvature: Array, spread: Array) -> Array:
+    """1/2 a' |H| a for packed |H| of shape (B, n, d (d + 1)/2): off-diagonal entries count twice."""
+    rows, columns = np.triu_indices(spread.shape[1])
+    weight = spread[:, rows] * spread[:, columns] * np.where(rows == columns, 0.5, 1.0)
+    return rounding.enlarged((curvature @ weight[:, :, None])[:, :, 0], rows.size + 6)  # type: ignore[no-any-return]

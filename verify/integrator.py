@@ -1,0 +1,179 @@
+"""One control period of a batch of joint sets: as many integrator steps as each cell needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.closed_loop import Plant
+from . import rounding
+from .flow import image_of, jet_step
+from .options import Options
+from .zonotope import Zonotope, concatenate, pad_rows, reduce_order
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+
+class Step(Protocol):
+    """One integrator step of a batch: what every flow method returns.
+
+    `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part of
+    it that shorter steps would diminish, `sound` where the enclosure exists (B,).
+    """
+
+    @property
+    def duration(self) -> Fraction: ...
+    @property
+    def end(self) -> Zonotope: ...
+    @property
+    def added(self) -> Array: ...
+    @property
+    def truncation(self) -> Array: ...
+    @property
+    def sound(self) -> Bools: ...
+    def select(self, cells: Any) -> Step: ...
+    def time_intervals(self, slabs: int) -> list[Zonotope]: ...
+
+
+@dataclass(frozen=True)
+class StepGroup:
+    """Cells of a batch that took the same number of steps, and those steps in order."""
+
+    cells: Indices
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class PeriodFlow:
+    """Flow of one control period.
+
+    Attributes
+    ----------
+    groups : tuple of StepGroup
+        Every cell is in one group; a discrete-time plant has groups without steps.
+    end : Zonotope, shape (B, d)
+    added : array, shape (B, n)
+        Half-width that the steps added in all.
+    sound : array of bool, shape (B,)
+    substeps : array of int, shape (B,)
+        Guess for the next period: log2 of the number of steps.
+    """
+
+    groups: tuple[StepGroup, ...]
+    end: Zonotope
+    added: Array
+    sound: Bools
+    substeps: Indices
+
+
+def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options, guess: Indices) -> PeriodFlow:
+    """Enclose the flow over one control period.
+
+    Each cell starts with the number of steps it needed last; while their time remainders exceed `remainder_share` of
+    the set's spread, or the enclosure does not exist, the steps of that cell are halved.
+
+    Parameters
+    ----------
+    plant : Plant
+    joint : Zonotope, shape (B, d)
+        States, inputs, disturbances.
+    period : Fraction
+    options : Options
+    guess : array of int, shape (B,)
+
+    Returns
+    -------
+    PeriodFlow
+    """
+    states = len(plant.states)
+    rows = options.quadratic_rows * states
+    if plant.discrete:
+        image, added = image_of(plant.tape, joint, rows)
+        end = concatenate(image, joint.coordinates(slice(states, joint.dimension)))
+        sound = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
+        return PeriodFlow((StepGroup(np.arange(joint.batch), ()),), end, added, sound, guess)
+    take_step = _method(plant, options, rows)
+    most = options.max_substeps.bit_length() - 1
+    level = np.minimum(guess, most)
+    groups: list[StepGroup] = []
+    results: list[tuple[Indices, Zonotope, Array, Bools]] = []
+    following = level.copy()
+    pending = np.arange(joint.batch)
+    while pending.size:
+        current = int(level[pending].min())
+        cells = pending[level[pending] == current]
+        whole = cells.size == joint.batch
+        steps, end, added, truncation, sound = _steps(take_step, joint if whole else joint[cells], period, 2**current, rows)
+        spread = end.spread[:, :states]
+        size = np.abs(end.center[:, :states])
+        allowed = options.remainder_share * spread + options.remainder_floor * np.maximum(size, 1.0)
+        good = sound & (truncation <= allowed).all(1)
+        final = good if current < most else np.ones_like(good)
+        if final.any():
+            chosen = np.flatnonzero(final)
+            done = cells[chosen]
+            everything = chosen.size == cells.size
+            groups.append(StepGroup(done, steps if everything else tuple(s.select(chosen) for s in steps)))
+            results.append((done, end[chosen], added[chosen], sound[chosen]))
+            easy = (truncation[chosen] <= 2.0**-options.taylor_order * allowed[chosen]).all(1)
+            following[done] = np.maximum(current - easy, 0)
+        level[cells[~final]] += 1
+        pending = np.setdiff1d(pending, cells[final], assume_unique=True)
+    end, added, sound = _assemble(results, joint, states)
+    return PeriodFlow(tuple(groups), end, added, sound, following)
+
+
+def _method(plant: Plant, options: Options, rows: int) -> Callable[[Zonotope, Fraction], Step]:
+    if options.method == "linearization":
+        from .linearization import linear_step
+
+        return lambda z, duration: linear_step(plant.tape, z, duration, options.taylor_order)
+    return lambda z, duration: jet_step(plant.tape, z, duration, options.taylor_order, rows)
+
+
+def _steps(
+    take_step: Callable[[Zonotope, Fraction], Step], z: Zonotope, period: Fraction, count: int, rows: int
+) -> tuple[tuple[Step, ...], Zonotope, Array, Array, Bools]:
+    """`count` equal steps. All rows that came in keep their identity (the inputs depend on them)."""
+    given = z.generators.shape[1]
+    steps = []
+    sound = np.ones(z.batch, dtype=bool)
+    added = truncation = np.zeros(())
+    for _ in range(count):
+        step = take_step(z, period / count)
+        steps.append(step)
+        sound &= step.sound
+        added = rounding.enlarged(added + step.added, 1)
+        truncation = truncation + step.truncation
+        z = step.end
+        if count > 1:
+            scale = z.spread
+            z, _ = reduce_order(z, given, given + 2 * rows, np.where(scale > 0.0, scale, 1.0))
+        if not sound.any():
+            break
+    return tuple(steps), z, added, truncation, sound
+
+
+def _assemble(
+    results: list[tuple[Indices, Zonotope, Array, Bools]], joint: Zonotope, states: int
+) -> tuple[Zonotope, Array, Bools]:
+    """Put the groups' results back into the order of the batch."""
+    if len(results) == 1 and results[0][0].size == joint.batch:
+        order = np.argsort(results[0][0])
+        _, end, added, sound = results[0]
+        return end[order], added[order], sound[order]
+    rows = max(end.generators.shape[1] for _, end, _, _ in results)
+    order = np.argsort(np.concatenate([cells for cells, _, _, _ in results]))
+    end = Zonotope(
+        np.concatenate([r[1].center for r in results])[order],
+        np.concatenate([pad_rows(r[1].generators, rows) for r in results])[order],
+        np.concatenate([r[1].radius for r in results])[order],
+    )
+    return end, np.concatenate([r[2] for r in results])[order], np.concatenate([r[3] for r in results])[order]

@@ -1,0 +1,117 @@
+"""Second-order enclosure of a function on a zonotope: value, Jacobian at the center, Hessian over the box.
+
+With d = [G, diag(r)] b and f two times differentiable on the set's enclosing interval:
+``f(c + d) in f(c) + Df(c) d + 1/2 d' H d`` for some H in the interval Hessian Hm +- Hr.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import rounding
+from .balls import Ball
+from .zonotope import Zonotope, linear_map
+
+Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=64)
+def _full_index(dimension: int) -> NDArray[np.intp]:
+    """Position of (i, j) in the packed upper triangle, shape (d, d)."""
+    rows, columns = np.triu_indices(dimension)
+    index = np.zeros((dimension, dimension), dtype=np.intp)
+    index[rows, columns] = index[columns, rows] = np.arange(rows.size)
+    return index
+
+
+def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
+    """Enclose the image of a zonotope under a function known by its second-order expansion.
+
+    Parameters
+    ----------
+    value : Ball, shape (B, n)
+        f at the center.
+    jacobian : Ball, shape (B, n, d)
+        Df at the center.
+    hessian : Ball, shape (B, n, d (d + 1)/2)
+        Upper triangle of the Hessian over the enclosing interval of z.
+    z : Zonotope, shape (B, d)
+    rows : int
+        Products of two factors that become generators of the result; the other products are boxed.
+
+    Returns
+    -------
+    Zonotope, shape (B, n)
+        Generators: the q of z in their order, then `rows` new ones.
+    array, shape (B, n)
+        Half-width of what this map added to the radius.
+    """
+    image = linear_map(replace(z, center=np.zeros_like(z.center)), jacobian, value)
+    added_rows = np.zeros((z.batch, rows, image.dimension))
+    magnitude = np.abs(hessian.mid) + hessian.rad
+    if not magnitude.any():
+        return replace(image, generators=np.concatenate([image.generators, added_rows], 1)), np.zeros_like(image.center)
+    index = _full_index(z.dimension)
+    outputs = np.flatnonzero(magnitude.any((0, 2)))
+    variables = np.flatnonzero(magnitude[:, outputs].any((0, 1))[index].any(0))
+    index = index[np.ix_(variables, variables)]
+    full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
+    shift, new, boxed = _quadratic_form(full, z.coordinates(variables), rows)
+    center = image.center.copy()
+    center[:, outputs] += shift
+    added_rows[:, :, outputs] = new
+    added = np.zeros_like(image.radius)
+    added[:, outputs] = rounding.enlarged(boxed + rounding.relative_error(center[:, outputs], 1), 2)
+    generators = np.concatenate([image.generators, added_rows], 1)
+    return Zonotope(center, generators, rounding.enlarged(image.radius + added, 1)), added
+
+
+def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array, Array]:
+    """Enclose 1/2 d' H d, d the deviation of z from its center, H of shape (B, m, d, d).
+
+    With M = G Hm G' (rows of G are generators): ``1/2 b' M b in tr M / 4 +- (sum_a |M_aa| / 4 + sum_(a<b) |M_ab|)``.
+    The largest products keep a factor of their own; the boxed part e of z adds |e|' |Hm| |G b| + 1/2 |e|' |Hm| |e|,
+    and Hr, together with the rounding of M, adds 1/2 a' Hr a.
+
+    Returns
+    -------
+    tuple of arrays
+        Shift of the center (B, m), new generators (B, rows, m), half-width of the rest (B, m).
+    """
+    generators = z.generators
+    count, dimension = generators.shape[1:]
+    mapped = generators[:, None] @ hessian.mid @ np.swapaxes(generators, 1, 2)[:, None]
+    first, second = np.triu_indices(count)
+    products = mapped[:, :, first, second]
+    diagonal = first == second
+    products[:, :, diagonal] *= 0.25
+    size = np.abs(products)
+    trace = products[:, :, diagonal]
+    shift = trace.sum(-1)
+    new = np.zeros((z.batch, rows, products.shape[1]))
+    kept = min(rows, size.shape[-1])
+    total = size.sum(-1)
+    if kept:
+        score = (size / np.where(total > 0.0, total, 1.0)[:, :, None]).sum(1)
+        chosen = np.argpartition(-score, kept - 1, axis=1)[:, None, :kept]
+        new[:, :kept] = np.swapaxes(np.take_along_axis(products, chosen, 2), 1, 2)
+        np.put_along_axis(size, np.broadcast_to(chosen, (*size.shape[:2], kept)), 0.0, 2)
+        total = size.sum(-1)
+    boxed = rounding.enlarged(total, size.shape[-1])
+    boxed = boxed + rounding.relative_error(np.abs(trace).sum(-1), count + 2)
+    # Hessian radius and the rounding of the two products that made M, as one interval matrix
+    magnitude = np.abs(hessian.mid)
+    uncertain = hessian.rad + rounding.product_factor(2 * dimension + 6) * magnitude
+    inner = rounding.enlarged(np.abs(generators).sum(1), count)[:, None, :, None]
+    outer = z.radius[:, None, :, None]
+    whole = rounding.enlarged(inner + outer, 1)
+    row = np.swapaxes
+    rest = 0.5 * (row(whole, 2, 3) @ uncertain @ whole)
+    if z.radius.any():
+        rest = rest + row(outer, 2, 3) @ magnitude @ inner + 0.5 * (row(outer, 2, 3) @ magnitude @ outer)
+    rest = rounding.enlarged(rest[:, :, 0, 0], 4 * dimension + 12)
+    return shift, new, rounding.enlarged(boxed + rest, 2)

@@ -1,0 +1,227 @@
+"""Linear enclosures of activations on an interval, written once for numpy (proofs) and torch (training).
+
+For every neuron: any float slope m, then rigorous bounds d <= f(x) - m x <= D on [l, u]. The functions use only the Python
+array API standard, on arrays of float64 (for proofs) or of whatever the trainer propagates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from ..models.policy import Activation
+from . import rounding
+
+
+@dataclass(frozen=True)
+class Relaxation:
+    """Linear enclosure of an activation on an interval.
+
+    For every x in [lower, upper]:  slope * x + offset - error <= f(x) <= slope * x + offset + error.
+
+    Attributes
+    ----------
+    slope, offset, error : array, shape (..., n)
+        One entry per neuron; error >= 0 and already rounded upward.
+
+    References
+    ----------
+    .. [1] Singh et al., "Fast and effective robustness certification", NeurIPS 2018, Thm. 3.2.
+    """
+
+    slope: Any
+    offset: Any
+    error: Any
+
+
+def namespace(x: Any) -> Any:
+    """Array API namespace of an array."""
+    if hasattr(x, "__array_namespace__"):
+        return x.__array_namespace__()
+    import array_api_compat
+
+    return array_api_compat.array_namespace(x)
+
+
+def _from_bounds(xp: Any, slope: Any, low: Any, high: Any) -> Relaxation:
+    """Relaxation whose residual f(x) - slope x lies in [low, high]."""
+    offset = 0.5 * low + 0.5 * high
+    width = xp.maximum(high - offset, offset - low)
+    error = rounding.enlarged(width + rounding.relative_error(offset, 2), 3)
+    return Relaxation(slope, offset, xp.where((low == 0) & (high == 0), xp.zeros_like(error), error))
+
+
+def _piecewise_linear(
+    point: Callable[[Any], Any], breakpoints: tuple[float, ...], lower: Any, upper: Any, xp: Any
+) -> Relaxation:
+    """Chord slope; the residual is piecewise linear, so its extremes are at the ends and the breakpoints inside."""
+    width = upper - lower
+    positive = width > 0
+    safe = xp.where(positive, width, xp.ones_like(width))
+    low_value, high_value = point(lower), point(upper)
+    tiny = 0.5 * (lower + upper)
+    flat = point(tiny + 1.0) - point(tiny)  # any float is a sound slope
+    slope = xp.where(positive, (high_value - low_value) / safe, flat)
+    slope = xp.where(xp.isfinite(slope), slope, xp.zeros_like(slope))
+    low, high = None, None
+    for x in (lower, upper, *breakpoints):
+        if isinstance(x, float):
+            inside = (lower < x) & (x < upper)
+            place = xp.where(inside, xp.full_like(lower, x), lower)
+        else:
+            place = x
+        value = point(place)
+        product = slope * place
+        residual = value - product
+        # f is exact at a breakpoint or rounded once; so is the product, and so is the difference
+        error = (
+            rounding.relative_error(value, 1)
+            + rounding.relative_error(product, 1)
+            + rounding.relative_error(residual, 1)
+        )
+        exactly = (value == product) & ((slope == 0.0) | (slope == 1.0))
+        error = xp.where(exactly, xp.zeros_like(error), rounding.enlarged(error, 3))
+        low = residual - error if low is None else xp.minimum(low, residual - error)
+        high = residual + error if high is None else xp.maximum(high, residual + error)
+    return _from_bounds(xp, slope, low, high)
+
+
+def _tanh(lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """Chord slope and parallel slope min(f'(l), f'(u)); per neuron the one with the smaller error."""
+    first = _tanh_with_slope(_chord_slope(lower, upper, xp), lower, upper, xp)
+    ends = xp.minimum(_tanh_slope(lower, xp), _tanh_slope(upper, xp))
+    second = _tanh_with_slope(ends, lower, upper, xp)
+    better = first.error <= second.error
+    return Relaxation(
+        xp.where(better, first.slope, second.slope),
+        xp.where(better, first.offset, second.offset),
+        xp.where(better, first.error, second.error),
+    )
+
+
+def _tanh_slope(x: Any, xp: Any) -> Any:
+    value = xp.tanh(x)
+    return (1.0 - value) * (1.0 + value)
+
+
+def _chord_slope(lower: Any, upper: Any, xp: Any) -> Any:
+    width = upper - lower
+    positive = width > 0
+    safe = xp.where(positive, width, xp.ones_like(width))
+    chord = (xp.tanh(upper) - xp.tanh(lower)) / safe
+    return xp.where(positive, chord, _tanh_slope(lower, xp))
+
+
+def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """Bounds of tanh(x) - m x for a given slope.
+
+    tanh is concave for x >= 0: there the residual's minimum is at an end, and its maximum is bounded by the tangent at
+    any p >= 0: ``f(x) - m x <= f(p) - m p + |f'(p) - m| max |x - p|``; p near atanh(sqrt(1 - m)), where f' = m, makes
+    the last term vanish. For x <= 0 the same holds for -tanh(-x).
+    """
+    slope = xp.clip(slope, 0.0, 1.0)
+    # the place where f' = m, and any place is sound; for m < 2^-50 the root rounds to 1
+    usable = slope > 2.0**-50
+    root = xp.sqrt(1.0 - xp.where(usable, slope, xp.ones_like(slope)))
+    place = xp.where(usable, xp.atanh(root), xp.full_like(root, 20.0))
+    zero = xp.zeros_like(lower)
+    at_lower, at_upper = _residual(lower, slope, xp), _residual(upper, slope, xp)
+    low = xp.minimum(at_lower[0], at_upper[0])
+    high = xp.maximum(at_lower[1], at_upper[1])
+    straddles = (lower < 0) & (upper > 0)
+    low = xp.where(straddles, xp.minimum(low, zero), low)
+    high = xp.where(straddles, xp.maximum(high, zero), high)
+    # concave part, x in [max(l, 0), u]
+    start, stop = xp.maximum(lower, zero), xp.maximum(upper, zero)
+    p = xp.clip(place, start, stop)
+    high = xp.where(upper > 0, xp.maximum(high, _tangent_bound(p, slope, start, stop, xp)), high)
+    # convex part, x in [l, min(u, 0)], by symmetry
+    start, stop = xp.maximum(-upper, zero), xp.maximum(-lower, zero)
+    p = xp.clip(place, start, stop)
+    low = xp.where(lower < 0, xp.minimum(low, -_tangent_bound(p, slope, start, stop, xp)), low)
+    return _from_bounds(xp, slope, low, high)
+
+
+def _residual(x: Any, slope: Any, xp: Any) -> tuple[Any, Any]:
+    """Lower and upper bound of tanh(x) - m x at a float x."""
+    value = xp.tanh(x)
+    product = slope * x
+    residual = value - product
+    error = (
+        abs(value) * (rounding.ELEMENTARY_UNITS * rounding.UNIT)
+        + rounding.relative_error(product, 1)
+        + rounding.relative_error(residual, 1)
+    )
+    error = rounding.enlarged(error, 4)
+    return residual - 2.0 * error, residual + 2.0 * error
+
+
+def _tangent_bound(p: Any, slope: Any, start: Any, stop: Any, xp: Any) -> Any:
+    """Upper bound of tanh(x) - m x for x in [start, stop], 0 <= start <= p <= stop, from the tangent at p."""
+    value = xp.tanh(p)
+    derivative = (1.0 - value) * (1.0 + value)
+    # |d(1 - t^2)| <= 2 |dt|: the elementary error of tanh enters absolutely, not relative to the derivative
+    derivative_error = 4.0 * rounding.ELEMENTARY_UNITS * rounding.UNIT
+    mismatch = abs(derivative - slope) + derivative_error
+    reach = xp.maximum(stop - p, p - start)
+    top = _residual(p, slope, xp)[1]
+    return top + rounding.enlarged(mismatch * reach, 6) + rounding.relative_error(top, 2)
+
+
+def _sigmoid(lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """sigmoid(x) = 1/2 + tanh(x / 2) / 2: the relaxation of tanh, scaled by powers of two."""
+    inner = _tanh(0.5 * lower, 0.5 * upper, xp)
+    offset = 0.5 + 0.5 * inner.offset
+    error = rounding.enlarged(0.5 * inner.error + rounding.relative_error(offset, 1), 2)
+    return Relaxation(0.25 * inner.slope, offset, error)
+
+
+def _relu(lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """m = u / (u - l); f - m x lies in [0, max(-m l, (1 - m) u)] for any m in [0, 1], so m needs no care."""
+    crossing = (lower < 0) & (upper > 0)
+    width = xp.where(crossing, upper - lower, xp.ones_like(lower))
+    slope = xp.where(crossing, xp.clip(upper / width, 0.0, 1.0), xp.where(lower >= 0, xp.ones_like(lower), xp.zeros_like(lower)))
+    top = rounding.enlarged(xp.maximum(-slope * lower, (1.0 - slope) * upper), 3)
+    half = xp.where(crossing, 0.5 * top, xp.zeros_like(top))
+    return Relaxation(slope, half, half)
+
+
+def relax(activation: Activation, lower: Any, upper: Any) -> Relaxation:
+    """Relaxation of an activation on ``[lower, upper]``, arrays of shape (..., n).
+
+    Parameters
+    ----------
+    activation : Activation
+    lower, upper : array, shape (..., n)
+        Pre-activation bounds, lower <= upper.
+
+    Returns
+    -------
+    Relaxation
+        Non-finite where the bounds are not finite.
+    """
+    xp = namespace(lower)
+    match activation.kind:
+        case "relu":
+            return _relu(lower, upper, xp)
+        case "tanh":
+            return _tanh(lower, upper, xp)
+        case "sigmoid":
+            return _sigmoid(lower, upper, xp)
+        case "leaky_relu":
+            slope = activation.slope
+
+            def leaky(x: Any) -> Any:
+                return xp.where(x >= 0, x, slope * x)
+
+            return _piecewise_linear(leaky, (0.0,), lower, upper, xp)
+        case "clip":
+            low, high = activation.lower, activation.upper
+            finite = tuple(float(b) for b in (low, high) if abs(b) != float("inf"))
+
+            def clipped(x: Any) -> Any:
+                return xp.clip(x, low, high)
+
+            return _piecewise_linear(clipped, finite, lower, upper, xp)
+    raise AssertionError(f"no relaxation for {activation.kind}")

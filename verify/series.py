@@ -1,0 +1,366 @@
+"""Taylor series in time whose coefficients are jets in the start values: a tape, differentiated without error.
+
+A tape compiles (once) to a plan: nodes, grouped so that all nodes of one kind on one level are computed by one array
+operation. Coefficient k of every node follows from lower ones [1]_:
+
+    product:     (a b)_k = sum_(j=0..k) a_j b_(k-j)
+    primitive:   y' = a' r, so y_k = 1/k sum_(j=1..k) (j a_j) r_(k-j)      (sin: r = cos; exp: r = y; tanh: r = 1 - y^2; ...)
+    reciprocal:  q_k = -q_0 sum_(j=1..k) a_j q_(k-j)
+    state:       z_k = f(z)_(k-1) / k
+
+References
+----------
+.. [1] A. Griewank, A. Walther, "Evaluating Derivatives", 2nd ed., SIAM 2008, section 13.2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.tape import Tape, run
+from . import balls, rounding
+from .balls import Ball
+from .jets import JetSpace, function_jet, jet_product, jet_space
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Node:
+    """One series. `operands` are needed up to coefficient k for coefficient k; `lagged` (the r of a primitive, f of a
+    state) only up to k - 1."""
+
+    kind: str
+    operands: tuple[int, ...] = ()
+    lagged: int = -1
+    function: str = ""
+    value: Fraction | None = None
+
+
+class _Builder:
+    """The algebra of nodes for `models.tape.run`: records the graph."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.known: dict[Node, int] = {}
+
+    def new(self, node: Node) -> int:
+        self.nodes.append(node)
+        return len(self.nodes) - 1
+
+    def shared(self, node: Node) -> int:
+        if node not in self.known:
+            self.known[node] = self.new(node)
+        return self.known[node]
+
+    def lag(self, node: int, lagged: int) -> int:
+        """Set what a primitive integrates, once that node exists."""
+        old = self.nodes[node]
+        self.nodes[node] = Node(old.kind, old.operands, lagged, old.function, old.value)
+        return node
+
+    def primitive(self, function: str, a: int) -> int:
+        return self.new(Node("primitive", (a, self.shared(Node("weighted", (a,)))), function=function))
+
+    def constant(self, value: Fraction) -> int:
+        return self.shared(Node("constant", value=value))
+
+    def add(self, a: int, b: int) -> int:
+        return self.new(Node("add", (a, b)))
+
+    def subtract(self, a: int, b: int) -> int:
+        return self.new(Node("subtract", (a, b)))
+
+    def negate(self, a: int) -> int:
+        return self.new(Node("negate", (a,)))
+
+    def multiply(self, a: int, b: int) -> int:
+        return self.new(Node("product", (a, b)))
+
+    def square(self, a: int) -> int:
+        return self.new(Node("square", (a, a)))
+
+    def reciprocal(self, a: int) -> int:
+        return self.shared(Node("reciprocal", (a,)))
+
+    def divide(self, a: int, b: int) -> int:
+        return self.multiply(a, self.reciprocal(b))
+
+    def sincos(self, a: int) -> tuple[int, int]:
+        sine, cosine = self.primitive("sin", a), self.primitive("cos", a)
+        return self.lag(sine, cosine), self.lag(cosine, self.negate(sine))
+
+    def exp(self, a: int) -> int:
+        result = self.primitive("exp", a)
+        return self.lag(result, result)
+
+    def log(self, a: int) -> int:
+        return self.lag(self.primitive("log", a), self.reciprocal(a))
+
+    def sqrt(self, a: int) -> int:
+        result = self.primitive("sqrt", a)
+        return self.lag(result, self.reciprocal(self.add(result, result)))
+
+    def tanh(self, a: int) -> int:
+        result = self.primitive("tanh", a)
+        return self.lag(result, self.subtract(self.constant(Fraction(1)), self.square(result)))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Nodes of one kind on one level: positions `start` .. `stop` of the storage.
+
+    `first` and `second` are the positions of the operands, `lagged` of what primitives integrate.
+    """
+
+    kind: str
+    start: int
+    stop: int
+    first: Indices
+    second: Indices
+    lagged: Indices
+    functions: tuple[str, ...]
+    values: tuple[Fraction | None, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A tape as groups of series.
+
+    Attributes
+    ----------
+    inputs : int
+        Positions 0 .. inputs - 1 are the tape's inputs; with a time dimension the first ones are the states.
+    groups : tuple of Group
+        In the order in which coefficient k is computed.
+    outputs : array of int
+        Position of each output.
+    size : int
+        Number of series.
+    """
+
+    inputs: int
+    groups: tuple[Group, ...]
+    outputs: Indices
+    size: int
+
+
+@lru_cache(maxsize=64)
+def plan_of(tape: Tape) -> Plan:
+    """Compile a tape."""
+    builder = _Builder()
+    inputs = [builder.new(Node("input")) for _ in tape.inputs]
+    outputs = run(tape, builder, inputs)
+    nodes = builder.nodes
+    levels: list[int] = []
+
+    def level(i: int) -> int:
+        return levels[i] if i < len(levels) else -1
+
+    for node in nodes:
+        # operands always precede their node; only `lagged` may point forward
+        levels.append(0 if node.kind == "input" else 1 + max((level(i) for i in node.operands), default=0))
+    keys = sorted({(levels[i], node.kind) for i, node in enumerate(nodes) if node.kind != "input"})
+    position = {i: i for i in range(len(inputs))}
+    members_of = {}
+    for key in keys:
+        members_of[key] = [i for i, node in enumerate(nodes) if (levels[i], node.kind) == key]
+        for i in members_of[key]:
+            position[i] = len(position)
+    groups = []
+    for key in keys:
+        members = members_of[key]
+        chosen = [nodes[i] for i in members]
+        start = position[members[0]]
+
+        def operand(number: int, chosen: list[Node] = chosen) -> Indices:
+            return np.array([position[n.operands[number]] for n in chosen if len(n.operands) > number], dtype=np.intp)
+
+        lagged = np.array([position[n.lagged] for n in chosen if n.lagged >= 0], dtype=np.intp)
+        functions, values = tuple(n.function for n in chosen), tuple(n.value for n in chosen)
+        groups.append(
+            Group(key[1], start, start + len(members), operand(0), operand(1), lagged, functions, values)
+        )
+    outs = np.array([position[i] for i in outputs], dtype=np.intp)
+    return Plan(len(inputs), tuple(groups), outs, len(nodes))
+
+
+class _Convolution:
+    """Convolutions of a group of pairs of series: gathered factors of all coefficients so far.
+
+    The radius of ``sum_j a_j b_(k-j)`` is ``sum_j |a| (rb + g |b|) + ra (|b| + rb)``, g the rounding factor of the sum.
+    """
+
+    def __init__(self, space: JetSpace, terms: int, count: int, batch: int) -> None:
+        shape = (terms, count, batch, space.left.size)
+        self.space = space
+        self.left, self.right = np.empty(shape), np.empty(shape)
+        self.left_factors, self.right_factors = np.empty((2, *shape)), np.empty((2, *shape))
+        self.sum_factor = rounding.product_factor(4 * terms)
+
+    def put_left(self, k: int, data: Array) -> None:
+        """Store coefficient k of the left factors, (2, count, B, C)."""
+        gathered = data[..., self.space.left]
+        self.left[k] = gathered[0]
+        np.abs(gathered[0], out=self.left_factors[0, k])
+        self.left_factors[1, k] = gathered[1]
+
+    def put_right(self, k: int, data: Array) -> None:
+        """Store coefficient k of the right factors."""
+        gathered = data[..., self.space.right]
+        magnitude = np.abs(gathered[0])
+        self.right[k] = gathered[0]
+        np.add(gathered[1], magnitude, out=self.right_factors[1, k])
+        magnitude *= self.sum_factor
+        np.add(gathered[1], magnitude, out=self.right_factors[0, k])
+
+    def sum(self, lowest: int, k: int) -> Ball:
+        """``sum_(j=lowest..k) left_j right_(k-j)``, shape (count, B, C)."""
+        stop = k - lowest
+        right = self.right[stop::-1] if stop >= 0 else self.right[:0]
+        mid = np.einsum("jvbp,jvbp->vbp", self.left[lowest : k + 1], right)
+        factors = self.right_factors[:, stop::-1]
+        rad = np.einsum("zjvbp,zjvbp->vbp", self.left_factors[:, lowest : k + 1], factors)
+        if self.space.size < mid.shape[-1]:
+            mid = np.add.reduceat(mid, self.space.starts, axis=-1)
+            rad = np.add.reduceat(rad, self.space.starts, axis=-1)
+        return Ball(mid, rounding.enlarged(rad, 8 * k + 16))
+
+
+class _Evaluation:
+    """Storage and recurrences of one evaluation of a plan."""
+
+    def __init__(self, plan: Plan, point: Ball, order: int, terms: int) -> None:
+        batch, dimension = point.mid.shape
+        self.plan = plan
+        self.space = jet_space(order, dimension)
+        self.data = np.zeros((2, terms, plan.size, batch, self.space.size))
+        self.convolutions: dict[int, _Convolution] = {}
+        self.terms = terms
+        for i in range(dimension):
+            self.data[0, 0, i, :, 0], self.data[1, 0, i, :, 0] = point.mid[:, i], point.rad[:, i]
+            if order >= 1:
+                self.data[0, 0, i, :, 1 + i] = 1.0
+
+    def compute(self, k: int) -> None:
+        """Coefficient k of every node but the inputs."""
+        for number, group in enumerate(self.plan.groups):
+            result = getattr(self, "_" + group.kind)(number, group, k)
+            if result is not None:
+                place = slice(group.start, group.stop)
+                self.data[0, k, place], self.data[1, k, place] = result.mid, result.rad
+
+    def integrate(self, states: int, k: int) -> None:
+        """Coefficient k of the states: f_(k-1) / k."""
+        rate = self.data[:, k - 1, self.plan.outputs]
+        value = balls.divide_exact(Ball(rate[0], rate[1]), float(k))
+        self.data[0, k, :states], self.data[1, k, :states] = value.mid, value.rad
+
+    def _operand(self, positions: Indices, k: int) -> Ball:
+        values = self.data[:, k, positions]
+        return Ball(values[0], values[1])
+
+    def _convolution(self, number: int, group: Group) -> _Convolution:
+        if number not in self.convolutions:
+            batch, count = self.data.shape[3], group.stop - group.start
+            self.convolutions[number] = _Convolution(self.space, self.terms, count, batch)
+        return self.convolutions[number]
+
+    def _constant(self, number: int, group: Group, k: int) -> Ball | None:
+        if k > 0:
+            return None
+        numbers = balls.rationals([value for value in group.values if value is not None])
+        shape = (group.stop - group.start, self.data.shape[3], self.space.size)
+        mid, rad = np.zeros(shape), np.zeros(shape)
+        mid[:, :, 0], rad[:, :, 0] = numbers.mid[:, None], numbers.rad[:, None]
+        return Ball(mid, rad)
+
+    def _add(self, number: int, group: Group, k: int) -> Ball:
+        return balls.add(self._operand(group.first, k), self._operand(group.second, k))
+
+    def _subtract(self, number: int, group: Group, k: int) -> Ball:
+        return balls.subtract(self._operand(group.first, k), self._operand(group.second, k))
+
+    def _negate(self, number: int, group: Group, k: int) -> Ball:
+        return balls.negate(self._operand(group.first, k))
+
+    def _weighted(self, number: int, group: Group, k: int) -> Ball:
+        return balls.scale(self._operand(group.first, k), float(k))
+
+    def _product(self, number: int, group: Group, k: int) -> Ball:
+        convolution = self._convolution(number, group)
+        convolution.put_left(k, self.data[:, k, group.first])
+        convolution.put_right(k, self.data[:, k, group.second])
+        return convolution.sum(0, k)
+
+    def _square(self, number: int, group: Group, k: int) -> Ball:
+        """A product whose value at k = 0 is the tight interval square."""
+        result = self._product(number, group, k)
+        if k == 0:
+            value = balls.square(self._operand(group.first, 0)[..., :1])
+            result.mid[..., :1], result.rad[..., :1] = value.mid, value.rad
+        return result
+
+    def _primitive(self, number: int, group: Group, k: int) -> Ball:
+        convolution = self._convolution(number, group)
+        convolution.put_left(k, self.data[:, k, group.second])
+        if k == 0:
+            return self._functions(group)
+        convolution.put_right(k - 1, self.data[:, k - 1, group.lagged])
+        return balls.divide_exact(convolution.sum(1, k), float(k))
+
+    def _functions(self, group: Group) -> Ball:
+        argument = self._operand(group.first, 0)
+        jets = [function_jet(self.space, name, argument[i]) for i, name in enumerate(group.functions)]
+        return Ball(np.stack([j.mid for j in jets]), np.stack([j.rad for j in jets]))
+
+    def _reciprocal(self, number: int, group: Group, k: int) -> Ball:
+        convolution = self._convolution(number, group)
+        convolution.put_left(k, self.data[:, k, group.first])
+        if k == 0:
+            return function_jet(self.space, "reciprocal", self._operand(group.first, 0))
+        place = np.arange(group.start, group.stop)
+        convolution.put_right(k - 1, self.data[:, k - 1, place])
+        return balls.negate(jet_product(self.space, self._operand(place, 0), convolution.sum(1, k)))
+
+
+def flow_jets(tape: Tape, point: Ball, order: int, terms: int) -> Ball:
+    """Jets of the time-Taylor coefficients of the flow: z_[k+1] = f(z)_[k] / (k + 1).
+
+    Parameters
+    ----------
+    tape : Tape
+        Vector field of the first n inputs; the other inputs are constant in time.
+    point : Ball, shape (B, d)
+        Thin for an expansion point, a box for bounds over the box.
+    order : int
+        Order of the jets in the start values, 0 to 2.
+    terms : int
+        Number of time coefficients.
+
+    Returns
+    -------
+    Ball, shape (terms, n, B, C)
+    """
+    states = len(tape.outputs)
+    evaluation = _Evaluation(plan_of(tape), point, order, terms)
+    for k in range(terms):
+        if k:
+            evaluation.integrate(states, k)
+        if k + 1 < terms:
+            evaluation.compute(k)
+    return Ball(evaluation.data[0, :, :states], evaluation.data[1, :, :states])
+
+
+def map_jets(tape: Tape, point: Ball, order: int) -> Ball:
+    """Jets of a tape's outputs (no time): point (B, d) to shape (outputs, B, C)."""
+    plan = plan_of(tape)
+    evaluation = _Evaluation(plan, point, order, 1)
+    evaluation.compute(0)
+    return Ball(evaluation.data[0, 0, plan.outputs], evaluation.data[1, 0, plan.outputs])
