@@ -11,7 +11,7 @@ from ..specs.errors import SpecificationError
 from ..specs.expressions import Expression, Number, names_in
 from ..specs.specification import PlantDescription
 from .closed_loop import Plant
-from .tape import compile_tape
+from .tape import Tape, compile_tape
 
 PLANTS_FOLDER = Path(__file__).parent / "plants"
 
@@ -110,12 +110,21 @@ def compile_plant(description: PlantDescription) -> Plant:
                     where=_where(description, state),
                     remedy=suggestion(name, sorted(known), "names"),
                 )
-    tape = compile_tape(
-        [description.dynamics[state] for state in states],
-        (*states, *inputs, *disturbances),
-        parameter_values(description),
-    )
+    variables, parameters = (*states, *inputs, *disturbances), parameter_values(description)
+    for state in states:
+        if _divides_by_zero(compile_tape([description.dynamics[state]], variables, parameters)):
+            raise SpecificationError(
+                f"the dynamics of {state} divide by zero with these parameters",
+                where=_where(description, state),
+                remedy="change the parameters",
+            )
+    tape = compile_tape([description.dynamics[state] for state in states], variables, parameters)
     return Plant(states, inputs, disturbances, tape, description.discrete, description)
+
+
+def _divides_by_zero(tape: Tape) -> bool:
+    values: list[Fraction | None] = [None] * len(tape.inputs) + [entry.value for entry in tape.instructions]
+    return any(entry.operation == "divide" and values[entry.operands[1]] == 0 for entry in tape.instructions)
 
 
 def _require_distinct(description: PlantDescription) -> None:
@@ -132,7 +141,9 @@ def _require_distinct(description: PlantDescription) -> None:
         for name in names:
             if name in seen:
                 raise SpecificationError(
-                    f"{name} is a {seen[name]} and also a {kind}", where=_where(description, name), remedy="rename one"
+                    f"{name} names a {seen[name]} and something else ({kind})",
+                    where=_where(description, name),
+                    remedy="rename one",
                 )
             seen[name] = kind
 
