@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from .zonotope import (
     append_rows,
     concatenate,
     diagonal_rows,
-    pad_rows,
     reduce_order,
     unbox,
 )
@@ -306,13 +304,3 @@ class Engine:
         growth[:, 4] += (flow.added / extent).mean(1)
         growth[:, 5] += (boxed[:, :states] / extent).mean(1)
         return growth
-
-
-def period_start(period: Fraction, number: int) -> Fraction:
-    """Time at which a control period begins."""
-    return period * number
-
-
-def padded(z: Zonotope, rows: int) -> Zonotope:
-    """Same set with zero rows appended."""
-    return Zonotope(z.center, pad_rows(z.generators, rows), z.radius)

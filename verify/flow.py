@@ -10,7 +10,7 @@ where B is an a-priori enclosure of all trajectories over the step: box(X) + [0,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
 
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 PICARD_ITERATIONS = 16
 
 
-def field(tape: Tape, box: Ball) -> Ball:
+def derivative_bounds(tape: Tape, box: Ball) -> Ball:
     """Interval evaluation of a tape: box of shape (B, d) to (B, outputs)."""
     values = run(tape, BallAlgebra(), [box[:, i] for i in range(box.mid.shape[1])])
     shape = box.mid.shape[0]
@@ -65,7 +65,7 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray
 
     def image(low: Array, high: Array) -> tuple[Array, Array]:
         """X + [0, h] f([low, high]), with the unchanged inputs appended."""
-        rate = field(tape, balls.hull(low, high))
+        rate = derivative_bounds(tape, balls.hull(low, high))
         down = rounding.down(np.minimum(rounding.down(longest * rate.lower), 0.0))
         up = rounding.up(np.maximum(rounding.up(longest * rate.upper), 0.0))
         new_low, new_high = rounding.down(start_low + down), rounding.up(start_high + up)
@@ -156,6 +156,8 @@ class JetStep:
     added: Array
     truncation: Array
     sound: NDArray[np.bool_]
+    slabs: dict[int, list[Zonotope]] = field(default_factory=dict, repr=False, compare=False)
+    """Time-interval sets that were already asked for."""
 
     def select(self, cells: Any) -> JetStep:
         """The same step of some cells."""
@@ -179,6 +181,8 @@ class JetStep:
         time as one more generator; DP(t) d in DP(t_m) d +- |DP'| a delta; the second-order and remainder terms at the
         part's end.
         """
+        if slabs in self.slabs:
+            return self.slabs[slabs]
         spread = self.start.spread
         result = []
         for part in range(slabs):
@@ -186,6 +190,7 @@ class JetStep:
             half = balls.rational(self.duration / (2 * slabs))
             last = balls.rational(self.duration * (part + 1) / slabs)
             result.append(_slab(self, spread, middle, half, last))
+        self.slabs[slabs] = result
         return result
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +112,3 @@ def _plain_selection(loop: ClosedLoop) -> NDArray[np.intp] | None:
     if tape is None or any(slot >= len(tape.inputs) for slot in tape.outputs):
         return None
     return np.array(tape.outputs, dtype=np.intp)
-
-
-def fraction_times(period: Fraction, count: int) -> Fraction:
-    """``period * count`` exactly."""
-    return period * count

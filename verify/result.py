@@ -1,0 +1,190 @@
+"""What a verification run found, as data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..models.closed_loop import ClosedLoop
+    from .falsifier import Candidate
+
+Array = NDArray[np.float64]
+
+
+class Verdict(str, Enum):
+    """VERIFIED, FALSIFIED or UNKNOWN; FALSIFIED needs a proved witness, which this version cannot make yet."""
+
+    VERIFIED = "VERIFIED"
+    FALSIFIED = "FALSIFIED"
+    UNKNOWN = "UNKNOWN"
+
+    @property
+    def exit_code(self) -> int:
+        """0 verified, 10 falsified, 5 unknown."""
+        return {"VERIFIED": 0, "FALSIFIED": 10, "UNKNOWN": 5}[self.value]
+
+
+@dataclass(frozen=True)
+class RequirementResult:
+    """One requirement's outcome.
+
+    Attributes
+    ----------
+    name, kind : str
+    proved : bool
+        For the whole initial set and all perturbations.
+    margin : float
+        Smallest signed margin over the whole cover, in the requirement's unit; > 0 is proof.
+    time : float or None
+        Seconds at which it is smallest.
+    facet : str
+        The facet that decides it.
+    line : int
+        Line in the specification.
+    """
+
+    name: str
+    kind: str
+    proved: bool
+    margin: float
+    time: float | None
+    facet: str
+    line: int
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a verdict is UNKNOWN.
+
+    Attributes
+    ----------
+    sentence : str
+        What could not be proved, and when.
+    requirement : str
+        Name of the requirement, empty where the enclosure itself ended.
+    time : float or None
+    source : str
+        Dominant source of growth.
+    shares : dict of source to share
+    remedy : str
+        What to try.
+    verified_until : float
+        Seconds up to which everything is proved for the whole initial set.
+    verified_part : float
+        Share of the initial set's volume (in its free states) that is proved.
+    largest_box : dict of state to (lower, upper), or None
+        Largest part of the initial set that is proved.
+    """
+
+    sentence: str
+    requirement: str = ""
+    time: float | None = None
+    source: str = ""
+    shares: dict[str, float] = field(default_factory=dict)
+    remedy: str = ""
+    verified_until: float = 0.0
+    verified_part: float = 0.0
+    largest_box: dict[str, tuple[float, float]] | None = None
+
+
+@dataclass(frozen=True)
+class Value:
+    """Verified performance: lower bounds of the return over all perturbations, -inf where there is none.
+
+    Attributes
+    ----------
+    discounted : float
+        With the specification's discount.
+    undiscounted : float
+    discount : float
+    """
+
+    discounted: float
+    undiscounted: float
+    discount: float
+
+
+@dataclass(frozen=True)
+class Flowpipe:
+    """Hulls of the reachable sets of a cover of the initial set.
+
+    Attributes
+    ----------
+    period : float
+        Seconds.
+    states : tuple of str
+    points : array, shape (cells, T + 1, 2, n)
+        Lower and upper bounds of the time-point sets; NaN after a failure.
+    intervals : array, shape (cells, T, 2, n)
+        The same of the time-interval sets; NaN for discrete-time plants.
+    """
+
+    period: float
+    states: tuple[str, ...]
+    points: Array
+    intervals: Array
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of `verify`.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    reason : Reason or None
+        None where the verdict is VERIFIED.
+    requirements : tuple of RequirementResult
+    value : Value or None
+        None where the specification has no reward.
+    flowpipe : Flowpipe
+    semantics : tuple of str
+        "real", and "float32" (or "float64") where the deployed execution is covered.
+    deployed_error : float
+        Largest e_L on an action.
+    cells, leaves : int
+        Cells that were enclosed, cells of the final cover.
+    candidate : Candidate or None
+        A simulated violation; not a proof.
+    timings : dict of phase to seconds
+    claim : str
+        What exactly is claimed, in a sentence.
+    notes : tuple of str
+    loop : ClosedLoop
+    observation_radius : tuple of float
+    """
+
+    verdict: Verdict
+    reason: Reason | None
+    requirements: tuple[RequirementResult, ...]
+    value: Value | None
+    flowpipe: Flowpipe
+    semantics: tuple[str, ...]
+    deployed_error: float
+    cells: int
+    leaves: int
+    candidate: Candidate | None
+    timings: dict[str, float]
+    claim: str
+    notes: tuple[str, ...]
+    loop: ClosedLoop
+    observation_radius: tuple[float, ...]
+
+    def plot(self, path: str | None = None, states: tuple[str, str] | None = None) -> Figure:
+        """Draw the flowpipe with the specification's regions; see `verify.plot.plot_result`."""
+        from .plot import plot_result
+
+        return plot_result(self, path, states)
+
+    def to_json(self) -> dict[str, Any]:
+        """The result as plain data for `--json`; infinite numbers become null."""
+        from .report import result_to_json
+
+        return result_to_json(self)

@@ -1,0 +1,286 @@
+"""The front door: one specification, one policy, a verdict. The only module that knows the engine and the falsifier."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..models.binding import bind
+from ..models.closed_loop import ClosedLoop, Plant
+from ..models.onnx_reader import read_policy
+from ..models.policy import Policy
+from ..specs.errors import SetrlError, UsageError
+from ..specs.reader import find_specification, read_specification
+from ..specs.specification import Specification
+from .closed_loop import Engine
+from .deadline import Deadline
+from .falsifier import Candidate, propose
+from .model import initial_box, observation_radius, prepare
+from .options import Options
+from .reason import explain
+from .result import Flowpipe, RequirementResult, Result, Value, Verdict
+from .separation import containment_margins, facet_separation, prepare_polytope
+from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
+from .wording import claim_sentence
+
+Array = NDArray[np.float64]
+Radius = Any
+Progress = Callable[[Exploration], None]
+
+ILL_CONDITIONED = 0.01
+"""Networks whose e_L exceeds this share of the action range are refused for the deployed semantics."""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One closed loop at several perturbation radii."""
+
+    loops: tuple[ClosedLoop, ...]
+    options: Options
+
+
+def load(policy: Policy | str | os.PathLike[str], specification: Specification | str | os.PathLike[str]) -> Any:
+    """Read a policy and a specification, each given as an object, a path or (specifications) a shipped name."""
+    if not isinstance(policy, Policy):
+        policy = read_policy(os.fspath(policy))
+    if not isinstance(specification, Specification):
+        specification = read_specification(find_specification(specification))
+    return policy, specification
+
+
+def verify(
+    policy: Policy | str | os.PathLike[str],
+    specification: Specification | str | os.PathLike[str],
+    *,
+    options: Options | None = None,
+    epsilon: Radius = None,
+    plant: Plant | None = None,
+    progress: Progress | None = None,
+    deadline: Deadline | None = None,
+) -> Result:
+    """Decide whether a policy keeps a plant within a specification.
+
+    Parameters
+    ----------
+    policy : Policy or path
+        An ONNX file.
+    specification : Specification, path or shipped name
+    options : Options, optional
+    epsilon : number or mapping, optional
+        Radius of the observation perturbation instead of the specification's.
+    plant : Plant, optional
+        Instead of the plant that the specification names.
+    progress : callable, optional
+        Called with the state of the search after every batch.
+    deadline : Deadline, optional
+        Instead of one made from ``options.timeout``; lets the caller interrupt.
+
+    Returns
+    -------
+    Result
+        "Could not prove" is a result with a reason, never an exception.
+
+    Raises
+    ------
+    SetrlError
+        Wrong input.
+    """
+    return verify_radii(
+        policy, specification, [epsilon], options=options, plant=plant, progress=progress, deadline=deadline
+    )[0]
+
+
+def verify_radii(
+    policy: Policy | str | os.PathLike[str],
+    specification: Specification | str | os.PathLike[str],
+    radii: Sequence[Radius],
+    *,
+    options: Options | None = None,
+    plant: Plant | None = None,
+    progress: Progress | None = None,
+    deadline: Deadline | None = None,
+) -> list[Result]:
+    """`verify` for several observation radii in one array program; one result per radius, in order.
+
+    A radius of None is the specification's own.
+    """
+    started = time.perf_counter()
+    if not radii:
+        raise UsageError("at least one perturbation radius is required")
+    options = options or Options()
+    policy, specification = load(policy, specification)
+    loops = tuple(bind(specification, policy, plant, radius) for radius in radii)
+    deadline = deadline or Deadline.after(options.timeout)
+    loaded = time.perf_counter()
+    job = _Job(loops, options)
+    found, candidates = _explore(job, deadline, progress)
+    refused = [_ill_conditioned(job, found, problem) for problem in range(len(loops))]
+    if options.deployed and any(refused) and not deadline.expired:
+        # decided for exact arithmetic all the same, for every radius alike
+        job = _Job(loops, replace(options, deployed=False))
+        exact, exact_candidates = _explore(job, deadline, progress)
+    else:
+        exact, exact_candidates = found, candidates
+    finished = time.perf_counter()
+    timings = {"load": loaded - started, "reachability": finished - loaded}
+    results = []
+    for problem, loop in enumerate(loops):
+        chosen, some = (exact, exact_candidates) if refused[problem] else (found, candidates)
+        semantics = ["real"]
+        notes = []
+        if options.deployed and not refused[problem]:
+            semantics.append(loop.policy.precision)
+        elif refused[problem]:
+            notes.append(
+                f"{loop.policy.precision} execution is not covered: its error bound is {refused[problem]:.2g} of the "
+                f"action range, more than {ILL_CONDITIONED:.0%}; rescale the network's weights"
+            )
+        results.append(_result(job, chosen, problem, some.get(problem), tuple(semantics), tuple(notes), timings))
+    return results
+
+
+def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[Exploration, dict[int, Candidate]]:
+    model = prepare(job.loops[0])
+    initial = InitialSet.of(*initial_box(model.loop))
+    engine = Engine(model, job.options, initial.free.size + model.constant.size)
+    candidates: dict[int, Candidate] = {}
+
+    def doubt(problem: int, factors: Array) -> bool:
+        states = np.tile(initial.center, (len(factors), 1))
+        states[:, initial.free] += factors * initial.radius[initial.free]
+        low, high = (np.array([float(b[side]) for b in model.loop.initial]) for side in (0, 1))
+        candidate = propose(job.loops[problem], np.clip(states, low, high))
+        if candidate is not None:
+            candidates[problem] = candidate
+        return candidate is not None
+
+    radii = np.stack([observation_radius(loop) for loop in job.loops])
+    return explore(engine, radii, deadline, progress, doubt), candidates
+
+
+def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
+    """Largest e_L as a share of the action range where that is too much, else 0."""
+    loop = job.loops[problem]
+    span = found.action_upper[problem] - found.action_lower[problem]
+    if loop.clip is not None:
+        span = np.maximum(span, [float(high - low) for low, high in loop.clip])
+    last = [layer for layer in loop.policy.layers if not hasattr(layer, "weight")][-1:]
+    if loop.after is None and last and last[0] is loop.policy.layers[-1] and last[0].kind in ("tanh", "sigmoid"):
+        span = np.maximum(span, 2.0 if last[0].kind == "tanh" else 1.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = found.deployed_error[problem] / np.where(span > 0.0, span, np.nan)
+    worst = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
+    return worst if worst > ILL_CONDITIONED else 0.0
+
+
+def _result(
+    job: _Job,
+    found: Exploration,
+    problem: int,
+    candidate: Candidate | None,
+    semantics: tuple[str, ...],
+    notes: tuple[str, ...],
+    timings: dict[str, float],
+) -> Result:
+    loop = job.loops[problem]
+    leaves = found.cells_of(problem, PROVED, FAILED)
+    # positive polarity: every leaf of the cover was proved, and there is a cover
+    everything = leaves.size > 0 and bool((found.status[leaves] == PROVED).all())
+    verified = everything and candidate is None and not found.stopped
+    has_claim = bool(loop.requirements) or loop.reward is not None
+    verdict = Verdict.VERIFIED if verified and has_claim else Verdict.UNKNOWN
+    value = _value(loop, found, problem, leaves)
+    cells = int((found.tree.problem == problem).sum())
+    return Result(
+        verdict,
+        None if verdict is Verdict.VERIFIED else explain(loop, job.options, found, problem, candidate),
+        _requirements(loop, found, leaves),
+        value,
+        _flowpipe(loop, found, leaves, problem),
+        semantics,
+        float(found.deployed_error[problem].max(initial=0.0)),
+        cells,
+        int(leaves.size),
+        candidate,
+        dict(timings),
+        claim_sentence(loop, semantics),
+        notes,
+        loop,
+        tuple(float(radius) for radius in loop.observation_radius),
+    )
+
+
+def _requirements(loop: ClosedLoop, found: Exploration, leaves: NDArray[np.intp]) -> tuple[RequirementResult, ...]:
+    results = []
+    for number, requirement in enumerate(loop.requirements):
+        margins = found.margins[leaves, number]
+        worst = int(margins.argmin())
+        margin, when = float(margins[worst]), float(found.times[leaves[worst], number])
+        facet = ""
+        place = found.failing.get(int(leaves[worst]))
+        if place is not None and place[0] == number:
+            facet = _facet(requirement, place[1])
+        results.append(
+            RequirementResult(
+                requirement.name,
+                requirement.kind,
+                bool((margins > 0.0).all()) and bool((found.status[leaves] == PROVED).all()),
+                margin,
+                None if np.isnan(when) else when,
+                facet,
+                requirement.line,
+            )
+        )
+    return tuple(results)
+
+
+def _facet(requirement: Any, place: Any) -> str:
+    """Text of the facet that decides the margin of a failing set."""
+    best, text = -np.inf, ""
+    for member in requirement.region:
+        facets = prepare_polytope(member)
+        if requirement.kind == "avoid":
+            margin, which = facet_separation(place, facets)
+            value, words = float(margin[0]), facets.texts[int(which[0])]
+        else:
+            margins = containment_margins(place, facets)[0]
+            value, words = float(margins.min()), facets.texts[int(margins.argmin())]
+        if value > best or not text:
+            best, text = value, words
+    return text
+
+
+def _value(loop: ClosedLoop, found: Exploration, problem: int, leaves: NDArray[np.intp]) -> Value | None:
+    if loop.reward is None:
+        return None
+    root = problem
+    # a cover's worst leaf, or the root's own run, whichever bound is better: both are lower bounds of every return
+    discounted = max(float(found.value[leaves].min()), float(found.value[root]))
+    undiscounted = max(float(found.undiscounted[leaves].min()), float(found.undiscounted[root]))
+    return Value(discounted, undiscounted, float(loop.reward.discount))
+
+
+def _flowpipe(loop: ClosedLoop, found: Exploration, leaves: NDArray[np.intp], problem: int) -> Flowpipe:
+    kept = [found.hulls[int(cell)] for cell in leaves if int(cell) in found.hulls] or [
+        found.hulls[cell] for cell in (problem,) if cell in found.hulls
+    ]
+    states = len(loop.plant.states)
+    points = np.array([k[0] for k in kept]).reshape(len(kept), loop.periods + 1, 2, states)
+    intervals = np.array([k[1] for k in kept]).reshape(len(kept), loop.periods, 2, states)
+    return Flowpipe(float(loop.period), loop.plant.states, points, intervals)
+
+
+def example() -> tuple[str, str]:
+    """Path of the shipped policy and the name of the specification it was made for."""
+    from ..models import example as shipped
+
+    path = str(shipped.example_policy_path())
+    if not os.path.exists(path):
+        raise SetrlError("the shipped example policy is missing", where=path, remedy="reinstall setrl")
+    return path, shipped.EXAMPLE_SPECIFICATION

@@ -1,0 +1,52 @@
+"""Sentences for people: what a verdict claims. Never the word "safe"."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+from ..models.closed_loop import BoundRequirement, ClosedLoop
+
+
+def number(value: Fraction | float) -> str:
+    """Short decimal of a number."""
+    return f"{float(value):.6g}"
+
+
+def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
+    """What VERIFIED means for this closed loop, in one sentence.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    semantics : sequence of str
+        "real", and the deployed precision where it is covered.
+    """
+    plant = loop.plant.description.name if loop.plant.description is not None else "given"
+    clauses = [requirement_clause(requirement, loop) for requirement in loop.requirements]
+    if not clauses and loop.reward is not None:
+        clauses = ["has a return below V(s0)"]
+    noise = [number(radius) for radius in loop.observation_radius]
+    perturbed = "exact observations"
+    if any(radius > 0 for radius in loop.observation_radius):
+        radius = noise[0] if len(set(noise)) == 1 else "(" + ", ".join(noise) + ")"
+        perturbed = f"observations perturbed by up to {radius}"
+    disturbed = f" and {len(loop.disturbances)} bounded disturbance(s)" if loop.disturbances else ""
+    executed = " and as executed in ".join(
+        {"real": "exact real arithmetic"}.get(name, f"{name} by onnxruntime on a CPU") for name in semantics
+    )
+    return (
+        f"no trajectory of plant {plant} under this network, from this initial set, with {perturbed}{disturbed}, "
+        f"{' or '.join(clauses)}; the network taken in {executed}"
+    )
+
+
+def requirement_clause(requirement: BoundRequirement, loop: ClosedLoop) -> str:
+    """What a violation of a requirement would be: "enters `obstacle` within 6 s"."""
+    start, end = number(requirement.start), number(requirement.end)
+    horizon = loop.period * loop.periods
+    when = f"at {end} s" if requirement.start == requirement.end else f"between {start} s and {end} s"
+    if requirement.start == 0 and requirement.end == horizon:
+        when = f"within {end} s"
+    verb = {"avoid": "enters", "stay": "leaves", "reach": "misses"}[requirement.kind]
+    return f"{verb} `{requirement.name}` {when}"
