@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -111,15 +112,82 @@ def powers(time: Ball, terms: int) -> Ball:
 
 
 def combine(weights: Ball, coefficients: Ball) -> Ball:
-    """``sum_k weights[k] coefficients[k]``, weights (K,), coefficients (K, ...)."""
-    shape = (-1,) + (1,) * (coefficients.mid.ndim - 1)
-    w, w_rad = weights.mid.reshape(shape), weights.rad.reshape(shape)
-    w_abs = np.abs(w) + w_rad
-    size = np.abs(coefficients.mid)
-    mid = (w * coefficients.mid).sum(0)
-    factor = rounding.product_factor(weights.mid.shape[0])
-    rad = (w_abs * (coefficients.rad + factor * size) + w_rad * size).sum(0)
-    return Ball(mid, rounding.enlarged(rad, weights.mid.shape[0] + 6))
+    """``sum_k weights[s, k] coefficients[k]``: weights (S, K), coefficients (K, ...) to (S, ...)."""
+    terms = weights.mid.shape[1]
+    shape = (weights.mid.shape[0], *coefficients.mid.shape[1:])
+    mid, rad = coefficients.mid.reshape(terms, -1), coefficients.rad.reshape(terms, -1)
+    size = np.abs(mid)
+    spread = weights.magnitude @ (rad + rounding.product_factor(terms) * size) + weights.rad @ size
+    return Ball((weights.mid @ mid).reshape(shape), rounding.enlarged(spread, terms + 8).reshape(shape))
+
+
+def largest(weights: Ball, coefficients: Ball) -> Array:
+    """Upper bound of ``sum_k |weights[s, k]| |coefficients[k]|``, shape (S, ...)."""
+    terms = weights.mid.shape[1]
+    total = weights.magnitude @ coefficients.magnitude.reshape(terms, -1)
+    shape = (weights.mid.shape[0], *coefficients.mid.shape[1:])
+    return rounding.enlarged(total, terms + 2).reshape(shape)  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=256)
+def step_weights(duration: Fraction, terms: int) -> Ball:
+    """Powers of a step's duration, shape (1, terms)."""
+    values = powers(balls.rational(duration), terms)
+    return Ball(values.mid[None], values.rad[None])
+
+
+@dataclass(frozen=True)
+class SlabWeights:
+    """Weights of the time coefficients for every part of a step.
+
+    Attributes
+    ----------
+    half : float
+        Upper bound of half the parts' width.
+    value, velocity : Ball, shape (S, K)
+        Of the state and its time derivative at the parts' middles.
+    last, first_derivative, second_derivative : Ball, shape (S, K)
+        Of the state and of bounds of its derivatives at the parts' ends.
+    remainder : array, shape (S,)
+        Upper bound of the parts' end to the power K.
+    """
+
+    half: float
+    value: Ball
+    velocity: Ball
+    last: Ball
+    first_derivative: Ball
+    second_derivative: Ball
+    remainder: Array
+
+
+@lru_cache(maxsize=256)
+def slab_weights(duration: Fraction, slabs: int, terms: int) -> SlabWeights:
+    """Weights for `slabs` equal parts of a step."""
+    middle = powers(balls.rationals([duration * (2 * part + 1) / (2 * slabs) for part in range(slabs)]), terms)
+    last = powers(balls.rationals([duration * (part + 1) / slabs for part in range(slabs)]), terms + 1)
+    middle, last = Ball(middle.mid.T, middle.rad.T), Ball(last.mid.T, last.rad.T)
+    count = np.arange(terms, dtype=np.float64)
+
+    def derivative(weights: Ball, by: int) -> Ball:
+        """Weights of the by-th time derivative: k (k - 1) ... (k - by + 1) t^(k - by), zero for k < by."""
+        factor = count.copy()
+        for i in range(1, by):
+            factor = factor * (count - i)
+        zero = np.zeros((slabs, by))
+        mid = np.concatenate([zero, weights.mid[:, : terms - by]], 1)
+        rad = np.concatenate([zero, weights.rad[:, : terms - by]], 1)
+        return balls.multiply(Ball(mid, rad), balls.exact(factor))
+
+    return SlabWeights(
+        float(balls.rational(duration / (2 * slabs)).upper),
+        middle,
+        derivative(middle, 1),
+        last[:, :terms],
+        derivative(last, 1),
+        derivative(last, 2),
+        last.upper[:, terms],
+    )
 
 
 @dataclass(frozen=True)
@@ -183,13 +251,7 @@ class JetStep:
         """
         if slabs in self.slabs:
             return self.slabs[slabs]
-        spread = self.start.spread
-        result = []
-        for part in range(slabs):
-            middle = balls.rational(self.duration * (2 * part + 1) / (2 * slabs))
-            half = balls.rational(self.duration / (2 * slabs))
-            last = balls.rational(self.duration * (part + 1) / slabs)
-            result.append(_slab(self, spread, middle, half, last))
+        result = _slabs(self, slabs)
         self.slabs[slabs] = result
         return result
 
@@ -235,20 +297,19 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
     JetStep
     """
     states, dimension = len(tape.outputs), z.dimension
-    step = balls.rational(duration)
     box = z.interval
-    prior, proved = a_priori_enclosure(tape, box, step)
+    prior, proved = a_priori_enclosure(tape, box, balls.rational(duration))
     with np.errstate(invalid="ignore", over="ignore"):
         center, over_box, prior_jets = _three_jets(tape, z, box, prior, order)
         remainder = prior_jets[order, ..., 0]
-        weights = powers(step, order + 1)
+        weights = step_weights(duration, order + 1)
         value, jacobian = center[:order, ..., 0], center[:order, ..., 1 : 1 + dimension]
         hessian = over_box[:order, ..., 1 + dimension :]
-        head = weights[:order]
+        head = weights[:, :order]
         image, added = enclose_map(
-            combine(head, value), combine(head, jacobian), combine(head, hessian), z, rows
+            combine(head, value)[0], combine(head, jacobian)[0], combine(head, hessian)[0], z, rows
         )
-        rest = balls.multiply(remainder, weights[order])
+        rest = balls.multiply(remainder, weights[0, order])
         shifted = balls.add(Ball(image.center, np.zeros_like(image.center)), rest)
         image = Zonotope(shifted.mid, image.generators, rounding.enlarged(image.radius + shifted.rad, 1))
         end = concatenate(image, z.coordinates(slice(states, dimension)))
@@ -257,47 +318,34 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
     return JetStep(z, duration, value, jacobian, hessian, remainder, end, added, rest.magnitude, proved & finite)
 
 
-def _slab(step: JetStep, spread: Array, middle: Ball, half: Ball, last: Ball) -> Zonotope:
-    """One part of a step, times within `half` of `middle`, the last one `last`."""
-    terms = step.value.mid.shape[0]
-    count = np.arange(terms, dtype=np.float64)
-    at_middle, at_last = powers(middle, terms), powers(last, terms + 1)
-    zero = balls.exact(np.zeros(1))
-
-    def shifted(weights: Ball, by: int) -> Ball:
-        """Weights of the by-th time derivative: k (k - 1) ... t^(k - by)."""
-        factor = count.copy()
-        for i in range(1, by):
-            factor = factor * (count - i)
-        tail = weights[: terms - by]
-        mid = np.concatenate([np.repeat(zero.mid, by), tail.mid])
-        rad = np.concatenate([np.repeat(zero.rad, by), tail.rad])
-        return balls.multiply(Ball(mid, rad), balls.exact(np.abs(factor)))
-
-    def largest(weights: Ball, coefficients: Ball) -> Array:
-        """Bound of |sum_k w_k c_k| for every time up to the part's end."""
-        bound = combine(balls.exact(weights.upper), balls.exact(coefficients.magnitude))
-        return bound.upper
-
-    value = combine(at_middle, step.value)
-    jacobian = combine(at_middle, step.jacobian)
-    linear = linear_map(replace(step.start, center=np.zeros_like(step.start.center)), jacobian, value)
-    velocity = combine(shifted(at_middle, 1), step.value)
-    delta = half.upper
-    time_row = (velocity.mid * delta)[:, None, :]
-    extra = velocity.rad * delta + rounding.relative_error(time_row[:, 0], 1)
-    extra = extra + 0.5 * delta * delta * largest(shifted(at_last, 2), step.value)
-    drift = largest(shifted(at_last, 1), step.jacobian)
-    extra = extra + delta * (drift @ spread[:, :, None])[:, :, 0]
-    curvature = largest(at_last[:terms], step.hessian)
-    extra = extra + _half_quadratic(curvature, spread)
-    extra = extra + step.remainder.magnitude * at_last.upper[terms]
-    radius = rounding.enlarged(linear.radius + rounding.enlarged(extra, 4 * spread.shape[1] + 16), 2)
-    return append_rows(Zonotope(linear.center, linear.generators, radius), time_row)
+def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
+    """Time-interval sets of equal parts of a step; see `JetStep.time_intervals`."""
+    weights = slab_weights(step.duration, slabs, step.value.mid.shape[0])
+    start = step.start
+    spread = start.spread
+    value = combine(weights.value, step.value)
+    jacobian = combine(weights.value, step.jacobian)
+    velocity = combine(weights.velocity, step.value)
+    delta = weights.half
+    time_rows = velocity.mid * delta
+    extra = velocity.rad * delta + rounding.relative_error(time_rows, 1)
+    extra = extra + 0.5 * delta * delta * largest(weights.second_derivative, step.value)
+    drift = largest(weights.first_derivative, step.jacobian)
+    extra = extra + delta * (drift @ spread[:, :, None])[..., 0]
+    extra = extra + _half_quadratic(largest(weights.last, step.hessian), spread)
+    extra = extra + step.remainder.magnitude * weights.remainder[:, None, None]
+    extra = rounding.enlarged(extra, 4 * spread.shape[1] + 24)
+    deviation = replace(start, center=np.zeros_like(start.center))
+    result = []
+    for part in range(slabs):
+        linear = linear_map(deviation, jacobian[part], value[part])
+        radius = rounding.enlarged(linear.radius + extra[part], 1)
+        result.append(append_rows(Zonotope(linear.center, linear.generators, radius), time_rows[part][:, None, :]))
+    return result
 
 
 def _half_quadratic(curvature: Array, spread: Array) -> Array:
-    """1/2 a' |H| a for packed |H| of shape (B, n, d (d + 1)/2): off-diagonal entries count twice."""
+    """1/2 a' |H| a for packed |H| of shape (..., B, n, d (d + 1)/2): off-diagonal entries count twice."""
     rows, columns = np.triu_indices(spread.shape[1])
     weight = spread[:, rows] * spread[:, columns] * np.where(rows == columns, 0.5, 1.0)
-    return rounding.enlarged((curvature @ weight[:, :, None])[:, :, 0], rows.size + 6)  # type: ignore[no-any-return]
+    return rounding.enlarged((curvature @ weight[:, :, None])[..., 0], rows.size + 6)  # type: ignore[no-any-return]

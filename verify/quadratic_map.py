@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import rounding
 from .balls import Ball
-from .zonotope import Zonotope, linear_map
+from .zonotope import Zonotope, linear_map, reduce_order
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: i
     variables = np.flatnonzero(magnitude[:, outputs].any((0, 1))[index].any(0))
     index = index[np.ix_(variables, variables)]
     full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
-    shift, new, boxed = _quadratic_form(full, z.coordinates(variables), rows)
+    shift, new, boxed = _quadratic_form(full, _largest_rows(z.coordinates(variables)), rows)
     center = image.center.copy()
     center[:, outputs] += shift
     added_rows[:, :, outputs] = new
@@ -68,6 +68,18 @@ def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: i
     added[:, outputs] = rounding.enlarged(boxed + rounding.relative_error(center[:, outputs], 1), 2)
     generators = np.concatenate([image.generators, added_rows], 1)
     return Zonotope(center, generators, rounding.enlarged(image.radius + added, 1)), added
+
+
+MOST_FACTORS = 24
+"""Factors whose products are formed one by one; the others enter the quadratic form through the boxed part."""
+
+
+def _largest_rows(z: Zonotope) -> Zonotope:
+    """The same set with only its largest generators kept, the rest boxed."""
+    if z.generators.shape[1] <= MOST_FACTORS:
+        return z
+    scale = z.spread
+    return reduce_order(z, 0, MOST_FACTORS, np.where(scale > 0.0, scale, 1.0))[0]
 
 
 def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array, Array]:

@@ -112,8 +112,8 @@ class Exploration:
     failing : dict of cell to (requirement number, set)
     growth : array, shape (M, sources)
     hulls : dict of cell to (points, intervals)
-    action_range, deployed_error : array, shape (problems, m)
-        Largest e_L, and the hull of the action's width, for the refusal of ill-conditioned networks.
+    action_lower, action_upper, deployed_error : array, shape (M, m)
+        Hull of a cell's actions, and its largest e_L: for the refusal of ill-conditioned networks.
     """
 
     tree: CellTree
@@ -217,9 +217,9 @@ def _first_cells(engine: Engine, problems: int, factors: int) -> Exploration:
             {},
             np.zeros((0, len(SOURCES))),
             {},
-            np.full((problems, inputs), np.inf),
-            np.full((problems, inputs), -np.inf),
-            np.zeros((problems, inputs)),
+            np.zeros((0, inputs)),
+            np.zeros((0, inputs)),
+            np.zeros((0, inputs)),
         )
     )
 
@@ -234,6 +234,10 @@ def _with_empty_results(state: Exploration) -> Exploration:
     state.undiscounted = np.concatenate([state.undiscounted, np.full(missing, -np.inf)])
     state.reached = np.concatenate([state.reached, np.zeros(missing, dtype=np.intp)])
     state.growth = np.concatenate([state.growth, np.zeros((missing, state.growth.shape[1]))])
+    inputs = state.deployed_error.shape[1]
+    state.action_lower = np.concatenate([state.action_lower, np.full((missing, inputs), np.inf)])
+    state.action_upper = np.concatenate([state.action_upper, np.full((missing, inputs), -np.inf)])
+    state.deployed_error = np.concatenate([state.deployed_error, np.zeros((missing, inputs))])
     return state
 
 
@@ -280,11 +284,10 @@ def _run_batch(
             performance.advance()
         _record_hulls(period, points, intervals)
         sound[index[period.sound]] += 1
-        problem = tree.problem[index]
-        action = period.action.interval
-        np.minimum.at(state.action_lower, problem, np.where(np.isfinite(action.lower), action.lower, np.inf))
-        np.maximum.at(state.action_upper, problem, np.where(np.isfinite(action.upper), action.upper, -np.inf))
-        np.maximum.at(state.deployed_error, problem, period.deployed_error)
+        action, own = period.action.interval, cells[index]
+        state.action_lower[own] = np.minimum(state.action_lower[own], action.lower)
+        state.action_upper[own] = np.maximum(state.action_upper[own], action.upper)
+        state.deployed_error[own] = np.maximum(state.deployed_error[own], period.deployed_error)
         bad = np.zeros(index.size, dtype=bool)
         for monitor in monitors:
             bad |= monitor.failed[index]

@@ -165,16 +165,22 @@ def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[
 
 
 def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
-    """Largest e_L as a share of the action range where that is too much, else 0."""
+    """Largest e_L of a proved cover as a share of the action range where that is too much, else 0.
+
+    Cells without a proof do not count: their sets may be arbitrarily large.
+    """
     loop = job.loops[problem]
-    span = found.action_upper[problem] - found.action_lower[problem]
+    leaves = found.cells_of(problem, PROVED)
+    if not leaves.size:
+        return 0.0
+    span = found.action_upper[leaves].max(0) - found.action_lower[leaves].min(0)
     if loop.clip is not None:
         span = np.maximum(span, [float(high - low) for low, high in loop.clip])
     last = [layer for layer in loop.policy.layers if not hasattr(layer, "weight")][-1:]
     if loop.after is None and last and last[0] is loop.policy.layers[-1] and last[0].kind in ("tanh", "sigmoid"):
         span = np.maximum(span, 2.0 if last[0].kind == "tanh" else 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = found.deployed_error[problem] / np.where(span > 0.0, span, np.nan)
+        share = found.deployed_error[leaves].max(0) / np.where(span > 0.0, span, np.nan)
     worst = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
     return worst if worst > ILL_CONDITIONED else 0.0
 
@@ -204,7 +210,7 @@ def _result(
         value,
         _flowpipe(loop, found, leaves, problem),
         semantics,
-        float(found.deployed_error[problem].max(initial=0.0)),
+        float(found.deployed_error[leaves].max(initial=0.0)),
         cells,
         int(leaves.size),
         candidate,
