@@ -12,7 +12,7 @@ import numpy as np
 from ..specs.errors import SpecificationError
 from ..specs.expressions import Binary, Expression, Name, Number
 from ..specs.specification import PlantDescription
-from .binding import Radius, exact_number
+from .binding_controller import Radius, exact_number
 from .closed_loop import Plant
 from .float_algebra import FloatAlgebra
 from .plant import compile_plant, suggestion

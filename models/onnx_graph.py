@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -169,7 +169,24 @@ def _decode(content: bytes, name: str) -> Any:
         raise PolicyError(
             "the file is not an ONNX model: it has no IR version, operator set or graph", where=name, remedy=remedy
         )
+    if not all(isinstance(text, str) for text in _texts(model)):
+        raise PolicyError("the file is not an ONNX model: a name in it is not UTF-8 text", where=name, remedy=remedy)
     return model
+
+
+def _texts(model: Any) -> Iterator[Any]:
+    """Every name of a model; protobuf hands out bytes where the text is broken."""
+    graph = model.graph
+    for node in graph.node:
+        yield from (node.name, node.op_type, node.domain, *node.input, *node.output)
+        for attribute in node.attribute:
+            yield from (attribute.name, attribute.ref_attr_name, attribute.t.name)
+    for named in (*model.functions, *graph.initializer, *graph.value_info):
+        yield named.name
+    for value in (*graph.input, *graph.output):
+        yield value.name
+        yield from (dim.dim_param for dim in value.type.tensor_type.shape.dim)
+    yield from (entry.domain for entry in model.opset_import)
 
 
 def _foreign_parts(model: Any) -> list[str]:
@@ -246,7 +263,9 @@ def _node(node: Any, position: int, name: str) -> Node:
         elif isinstance(value, bytes):
             value = value.decode("utf-8", "replace")
         attributes[attribute.name] = value
-    label = node.name or (node.output[0] if node.output else f"node {position}")
+    if not node.output:
+        raise PolicyError(f"{node.op_type} ({node.name or f'node {position}'}) has no output", where=name)
+    label = node.name or node.output[0] or f"node {position}"
     return Node(node.op_type, tuple(node.input), tuple(node.output), attributes, label)
 
 

@@ -14,17 +14,25 @@ from .onnx_values import Unsupported, require_size
 Array: TypeAlias = NDArray[Any]
 
 
+MAX_RANK = 32
+"""Largest number of dimensions."""
+
+
 def integers(node: Node, operands: Sequence[Array | None], position: int, attribute: str) -> list[int] | None:
     """Integers that old operator sets pass as an attribute and new ones as an input; None where there are none."""
     if attribute in node.attributes:
         value = node.attributes[attribute]
-        return [int(entry) for entry in value] if isinstance(value, (list, tuple)) else [int(value)]
-    operand = operands[position] if position < len(operands) else None
-    if operand is None:
-        return None
-    if operand.dtype.kind != "i":
-        raise Unsupported(f"needs integers for {attribute}")
-    return [int(entry) for entry in operand.ravel()]
+        entries = [int(entry) for entry in value] if isinstance(value, (list, tuple)) else [int(value)]
+    else:
+        operand = operands[position] if position < len(operands) else None
+        if operand is None:
+            return None
+        if operand.dtype.kind != "i":
+            raise Unsupported(f"needs integers for {attribute}")
+        entries = [int(entry) for entry in operand.ravel()]
+    if attribute in ("axes", "perm") and any(abs(entry) > MAX_RANK for entry in entries):
+        raise Unsupported(f"has {attribute} {entries}")
+    return entries
 
 
 def _reshape(node: Node, operands: Sequence[Array | None], array: Array) -> Array:
@@ -66,7 +74,7 @@ def _unsqueeze(node: Node, operands: Sequence[Array | None], array: Array) -> Ar
 
 
 def _transpose(node: Node, operands: Sequence[Array | None], array: Array) -> Array:
-    order = node.attributes.get("perm")
+    order = integers(node, (), 1, "perm")
     try:
         return np.transpose(array, None if order is None else tuple(order))
     except ValueError:

@@ -13,7 +13,7 @@ import numpy as np
 
 from . import onnx_convolution
 from .onnx_graph import Array, Node
-from .onnx_movement import MOVEMENTS
+from .onnx_movement import MAX_RANK, MOVEMENTS
 from .onnx_values import (
     Signal,
     Unsupported,
@@ -67,6 +67,8 @@ def _require_attributes(node: Node, known: frozenset[str]) -> None:
         entries = value if isinstance(value, (list, tuple)) and key in _LISTS else [value]
         if kind is not None and not all(isinstance(entry, kind) for entry in entries):
             raise Unsupported(f"has an attribute {key} of the wrong type")
+    if abs(node.attributes.get("axis", 0)) > MAX_RANK:
+        raise Unsupported(f"has axis {node.attributes['axis']}")
 
 
 def _move(node: Node, operands: Sequence[Value | None]) -> Value:

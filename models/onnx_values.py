@@ -87,13 +87,13 @@ def moved(signal: Signal, index: Array) -> Signal:
     Unsupported
         The arrangement mixes the rows of a dynamic batch.
     """
+    if index.size == 0:
+        raise Unsupported("leaves no values")
     if signal.batched:
         rows = index.reshape(index.shape[0], -1) if index.ndim else index
         step = np.arange(BATCH_ROWS)[:, None] * signal.width
         if index.ndim < 1 or index.shape[0] != BATCH_ROWS or (rows != rows[0] + step).any():
             raise Unsupported("mixes the dynamic batch with the values; export with a batch of one")
-    if index.size == 0:
-        raise Unsupported("leaves no values")
     unchanged = signal.open_bias and _is_base(index, signal)
     return replace(signal, index=index, open_bias=unchanged)
 

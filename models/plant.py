@@ -123,7 +123,8 @@ def compile_plant(description: PlantDescription) -> Plant:
 
 
 def _divides_by_zero(tape: Tape) -> bool:
-    values: list[Fraction | None] = [None] * len(tape.inputs) + [entry.value for entry in tape.instructions]
+    values: list[Fraction | None] = [None for _ in tape.inputs]
+    values += [entry.value for entry in tape.instructions]
     return any(entry.operation == "divide" and values[entry.operands[1]] == 0 for entry in tape.instructions)
 
 

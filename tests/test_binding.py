@@ -140,7 +140,7 @@ def test_rewards_are_bound_over_all_states() -> None:
     assert bound.penalty == 5 and bound.penalty_region[0].normals == ((F(0), F(1)),)
 
 
-@pytest.mark.parametrize("radius", [0.1, "0.1", F(1, 10), {"p": 0.1, "v": 0.1}])
+@pytest.mark.parametrize("radius", [0.1, np.float64(0.1), "0.1", F(1, 10), {"p": 0.1, "v": 0.1}])
 def test_a_radius_that_is_given_replaces_the_specifications(radius: Any) -> None:
     given = replace(specification(), perturbation=Perturbation(observation=F(7)))
     assert bind(given, policy(), observation_radius=radius).observation_radius == (F(1, 10), F(1, 10))

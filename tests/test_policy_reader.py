@@ -405,6 +405,26 @@ def test_truncated_models_are_refused() -> None:
             read_policy(content[:length])
 
 
+@pytest.mark.filterwarnings("error")
+def test_damaged_models_end_in_a_message_and_never_in_a_crash() -> None:
+    generator = np.random.default_rng(5)
+    models = [bytes_of(nodes, constants, **options) for nodes, constants, options, _ in READABLE.values()]
+    outcomes = {"read": 0, "refused": 0}
+    for _ in range(4000):
+        content = bytearray(models[generator.integers(len(models))])
+        for _ in range(generator.integers(1, 4)):
+            place = generator.integers(len(content))
+            stop = place + generator.integers(0, 3)
+            content[place:stop] = generator.integers(0, 256, size=generator.integers(0, 3), dtype=np.uint8).tobytes()
+        try:
+            read_policy(bytes(content))
+            outcomes["read"] += 1
+        except PolicyError as error:
+            assert error.message
+            outcomes["refused"] += 1
+    assert min(outcomes.values()) > 50, outcomes
+
+
 def test_half_precision_and_quantized_networks_are_refused() -> None:
     with pytest.raises(PolicyError, match="FLOAT16"):
         read_policy(bytes_of([("MatMul", ["x", "w"], "y", {})], {"w": W.astype(np.float16)}))
