@@ -9,16 +9,32 @@ because typer's panels would load most of rich and take as long again as everyth
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Sequence
-from typing import Annotated
+from collections.abc import Callable, Iterator, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from . import __version__
 
+if TYPE_CHECKING:
+    from fractions import Fraction
+
+    from .verify.deadline import Deadline
+    from .verify.options import Options
+
 PLACEHOLDER = True
-"""No command has landed; the tests that execute the documentation wait for this line to go."""
+"""Not every command has landed; the tests that execute the documentation wait for this line to go."""
+
+OK, UNKNOWN, BAD_INPUT, INTERNAL = 0, 5, 2, 6
+ABORTED, PIPE_CLOSED = 130, 141
+"""What a shell reports for a program that SIGINT or SIGPIPE ended."""
+
+_USAGE: type[Exception] = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+"""Base of typer's usage errors; typer brings its own click from some version on."""
 
 app = typer.Typer(
     name="setrl",
@@ -30,13 +46,61 @@ app = typer.Typer(
 )
 
 
+class Method(StrEnum):
+    """Flow enclosures."""
+
+    jets = "jets"
+    linearization = "linearization"
+
+
+class Attack(StrEnum):
+    """Perturbations of a simulation."""
+
+    none = "none"
+    uniform = "uniform"
+    corner = "corner"
+
+
+class Kind(StrEnum):
+    """Files that have a schema."""
+
+    specification = "specification"
+    plant = "plant"
+
+
+PolicyArgument = Annotated[Path | None, typer.Argument(metavar="[POLICY]", help="ONNX file.", show_default=False)]
+SpecOption = Annotated[
+    str | None,
+    typer.Option(
+        "--spec", metavar="FILE", help="Specification: a file, or the name of a shipped one such as nav.yaml."
+    ),
+]
+TimeoutOption = Annotated[
+    float | None, typer.Option(metavar="SECONDS", help="Stop then; what is not proved is UNKNOWN.")
+]
+SplitsOption = Annotated[int | None, typer.Option(metavar="N", help="Most cells of the initial set; 1: no splitting.")]
+MethodOption = Annotated[Method | None, typer.Option(help="Flow enclosure; default jets.")]
+OrderOption = Annotated[
+    int | None, typer.Option("--taylor-order", metavar="K", help="Time order of the flow enclosure.")
+]
+GeneratorsOption = Annotated[int | None, typer.Option(metavar="N", help="Generators kept per state dimension.")]
+EpsilonOption = Annotated[
+    str | None,
+    typer.Option(metavar="RADIUS", help="Radius of the observation perturbation, instead of the specification's."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+PlotOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw into a .png, .pdf or .svg file.")]
+CsvOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write comma-separated values.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Nothing but the verdict and errors.")]
+
+
 def _print_version(asked: bool) -> None:
     if asked:
         typer.echo(f"setrl {__version__}")
         raise typer.Exit
 
 
-@app.callback(epilog="The commands (verify, sweep, simulate, init, inspect, doctor, schema) have not landed yet.")
+@app.callback(epilog="Exit codes: 0 verified or done, 5 unknown, 10 falsified, 2 bad input or usage, 6 internal error.")
 def root(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -45,7 +109,414 @@ def root(
     """Does a policy network keep a plant within its specification? A sound verdict, with its reason."""
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+@app.command("verify")
+def verify_command(
+    policy: PolicyArgument = None,
+    spec: SpecOption = None,
+    as_json: JsonOption = False,
+    plot: PlotOption = None,
+    timeout: TimeoutOption = None,
+    epsilon: EpsilonOption = None,
+    splits: SplitsOption = None,
+    method: MethodOption = None,
+    taylor_order: OrderOption = None,
+    generators: GeneratorsOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Verify a policy: VERIFIED or UNKNOWN on stdout, everything else on stderr.
+
+    Without arguments, verify the shipped example.
+    """
+    options = _options(timeout, splits, method, taylor_order, generators)
+    radius = _radius(epsilon)
+    _require_outputs(plot=plot)
+    network, specification = _inputs(policy, spec, quiet)
+    from .verify import report
+    from .verify.verifier import verify
+
+    with _working(options, quiet) as (deadline, progress):
+        result = verify(network, specification, options=options, epsilon=radius, deadline=deadline, progress=progress)
+    if as_json:
+        _print_json(report.result_to_json(result, options))
+    else:
+        _say(report.verdict_line(result))
+    if not quiet:
+        _tell(*report.describe(result))
+    if plot is not None:
+        result.plot(str(plot))
+        _wrote(plot, quiet)
+    return result.verdict.exit_code
+
+
+@app.command()
+def sweep(
+    policy: PolicyArgument = None,
+    spec: SpecOption = None,
+    epsilon: Annotated[
+        str,
+        typer.Option(metavar="FIRST:LAST:STEP", help="Radii of the observation perturbation; or a list: 0,0.1,0.2."),
+    ] = "0:0.5:0.05",
+    as_json: JsonOption = False,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    timeout: TimeoutOption = None,
+    splits: SplitsOption = None,
+    method: MethodOption = None,
+    taylor_order: OrderOption = None,
+    generators: GeneratorsOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Verify for several perturbation radii at once: verdict, worst reward and margins as a table.
+
+    The exit code is that of the worst radius.
+    """
+    radii = _radii(epsilon)
+    options = _options(timeout, splits, method, taylor_order, generators)
+    _require_outputs(plot=plot, csv=csv)
+    network, specification = _inputs(policy, spec, quiet)
+    from .verify import report
+    from .verify.verifier import verify_radii
+
+    with _working(options, quiet) as (deadline, progress):
+        results = verify_radii(network, specification, radii, options=options, deadline=deadline, progress=progress)
+    if as_json:
+        _print_json({"format": report.SWEEP_FORMAT, "results": [report.result_to_json(r, options) for r in results]})
+    else:
+        _say(*report.sweep_table(radii, results))
+    if csv is not None:
+        _write(csv, report.sweep_csv(radii, results), quiet)
+    if plot is not None:
+        from .verify.plot import plot_sweep
+
+        plot_sweep([float(radius) for radius in radii], results, str(plot))
+        _wrote(plot, quiet)
+    return max(result.verdict.exit_code for result in results)
+
+
+@app.command()
+def simulate(
+    policy: PolicyArgument = None,
+    spec: SpecOption = None,
+    rollouts: Annotated[int, typer.Option(metavar="N", help="Number of trajectories.")] = 20,
+    seed: Annotated[int, typer.Option(help="The same seed draws the same trajectories.")] = 0,
+    attack: Annotated[Attack, typer.Option(help="Perturbations: none, anywhere or at corners of their bounds.")] = (
+        Attack.uniform
+    ),
+    epsilon: EpsilonOption = None,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> int:
+    """Simulate trajectories of the closed loop. It is for looking; it proves nothing."""
+    from .specs.errors import UsageError
+
+    if not 1 <= rollouts <= 100_000 or seed < 0:
+        wrong = ("--rollouts", rollouts, "from 1 to 100000") if seed >= 0 else ("--seed", seed, "from 0")
+        raise UsageError(f"a whole number {wrong[2]} is required, received {wrong[1]}", where=wrong[0])
+    radius = _radius(epsilon)
+    _require_outputs(plot=plot, csv=csv)
+    network, specification = _inputs(policy, spec, quiet)
+    from .verify import rollouts as simulation
+
+    loop = simulation.closed_loop(network, specification, radius)
+    outcome = simulation.roll_out(loop, rollouts, seed, attack.value)
+    if as_json:
+        _print_json(simulation.summary(loop, outcome))
+    else:
+        _say(*simulation.summary_lines(loop, outcome))
+    if csv is not None:
+        _write(csv, simulation.trajectories_csv(loop, outcome), quiet)
+    if plot is not None:
+        from .verify.plot import plot_trajectories
+
+        plot_trajectories(loop, outcome, str(plot))
+        _wrote(plot, quiet)
+    return OK
+
+
+@app.command()
+def init(
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="A shipped plant's name, or a plant file.")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write to a file instead of stdout.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> int:
+    """Print a commented specification for a plant, to be filled in."""
+    from .models.plant import load_plant
+    from .models.template import specification_template
+    from .specs.files import require_writable
+
+    if out is not None:
+        require_writable(out, overwrite=force)
+    text = specification_template(load_plant(plant), plant, out.parent if out is not None else Path())
+    if out is None:
+        _say(text.rstrip("\n"))
+    else:
+        _write(out, text, False)
+    return OK
+
+
+@app.command()
+def inspect(
+    policy: Annotated[Path, typer.Argument(metavar="POLICY", help="ONNX file.", show_default=False)],
+    as_json: JsonOption = False,
+) -> int:
+    """List a policy's operators, layers and sizes, and everything in it that is not supported."""
+    from .models.onnx_reader import describe_policy, read_policy
+    from .models.policy_report import policy_lines
+
+    description = describe_policy(policy)
+    if as_json:
+        _print_json(description)
+    else:
+        _say(*policy_lines(description))
+    read_policy(policy)
+    return OK
+
+
+@app.command()
+def doctor(as_json: JsonOption = False) -> int:
+    """Test what the engine assumes about this machine, and print versions."""
+    from .verify.doctor import examination_lines, examine
+
+    facts = examine()
+    if as_json:
+        _print_json(facts)
+    else:
+        _say(*examination_lines(facts))
+    if facts["problems"]:
+        _tell(*(f"setrl: error: {problem}: no verdict on this machine can be trusted" for problem in facts["problems"]))
+        return BAD_INPUT
+    return OK
+
+
+@app.command()
+def schema(
+    kind: Annotated[Kind, typer.Argument(help="Kind of file.")] = Kind.specification,
+) -> int:
+    """Print the JSON Schema of specifications or plants."""
+    from .specs.schema import json_schema
+
+    _print_json(json_schema(kind.value))
+    return OK
+
+
+def _options(
+    timeout: float | None,
+    splits: int | None,
+    method: Method | None,
+    taylor_order: int | None,
+    generators: int | None,
+) -> Options:
+    from .specs.errors import UsageError
+    from .verify.options import Options
+
+    given = {
+        "--timeout": ("timeout", timeout),
+        "--splits": ("splits", splits),
+        "--method": ("method", None if method is None else method.value),
+        "--taylor-order": ("taylor_order", taylor_order),
+        "--generators": ("generators", generators),
+    }
+    chosen: dict[str, Any] = {}
+    for flag, (name, value) in given.items():
+        if value is None:
+            continue
+        try:
+            Options(**{**chosen, name: value})
+        except UsageError as error:
+            raise UsageError(error.message, where=flag, remedy=f"leave {flag} out for the default") from error
+        chosen[name] = value
+    return Options(**chosen)
+
+
+def _radius(text: str | None) -> Fraction | None:
+    from .specs.errors import InputError, UsageError
+    from .specs.exact import exact_decimal
+
+    try:
+        radius = None if text is None else exact_decimal(text)
+    except InputError as error:
+        raise error.at("--epsilon") from error
+    if radius is not None and radius < 0:
+        raise UsageError(f"a radius is not negative, received {text}", where="--epsilon", remedy="use 0 or more")
+    return radius
+
+
+def _radii(text: str) -> tuple[Fraction, ...]:
+    from .specs.errors import InputError
+    from .specs.exact import decimal_range
+
+    try:
+        return decimal_range(text)
+    except InputError as error:
+        raise error.at("--epsilon") from error
+
+
+def _inputs(policy: Path | None, spec: str | None, quiet: bool) -> tuple[str, str]:
+    """Policy and specification as given, or the shipped example."""
+    from .specs.errors import UsageError
+
+    if policy is None and spec is None:
+        from .verify.verifier import example
+
+        network, specification = example()
+        if not quiet:
+            _tell(
+                f"No policy was given: this is the shipped example, {Path(network).name} with {specification}.yaml.",
+                "Your own: setrl verify POLICY.onnx --spec FILE.yaml; a specification to start from: setrl init PLANT",
+                "",
+            )
+        return network, specification
+    from .specs.reader import shipped_specifications
+
+    if spec is None:
+        names = ", ".join(shipped_specifications())
+        raise UsageError("a specification is required", where="--spec", remedy=f"a file, or a shipped one: {names}")
+    if policy is None:
+        raise UsageError("a policy is required", where="POLICY", remedy="give an ONNX file before --spec")
+    return str(policy), spec
+
+
+def _require_outputs(*, plot: Path | None = None, csv: Path | None = None) -> None:
+    """Unusable output paths are found before hours of work."""
+    from .specs.files import require_writable
+
+    for path in (plot, csv):
+        if path is not None:
+            require_writable(path)
+    if plot is not None:
+        from .specs.files import require_suffix
+
+        require_suffix(plot, (".png", ".pdf", ".svg"))
+
+
+@contextlib.contextmanager
+def _working(options: Options, quiet: bool) -> Iterator[tuple[Deadline, Callable[[Any], None] | None]]:
+    """A deadline that Ctrl-C ends, so that what was found is still printed, and progress where somebody watches."""
+    import signal
+    import threading
+
+    from .verify.deadline import Deadline
+
+    deadline = Deadline.after(options.timeout)
+
+    def interrupt(*_: Any) -> None:
+        if deadline.interrupted:
+            raise KeyboardInterrupt
+        deadline.interrupted = True
+        sys.stderr.write("\nstopping; once more aborts without a result\n")
+
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with _progress(not quiet and sys.stderr.isatty()) as progress:
+            yield deadline, progress
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _progress(shown: bool) -> Iterator[Callable[[Any], None] | None]:
+    if not shown:
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from .verify.report import search_progress
+
+    columns = (BarColumn(), TextColumn("{task.percentage:>5.1f} %"), TextColumn("{task.description}"))
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("first cell", total=1.0)
+
+        def update(found: Any) -> None:
+            share, text = search_progress(found)
+            bar.update(task, completed=share, description=text)
+
+        yield update
+
+
+def _say(*lines: str) -> None:
+    """Write lines to stdout."""
+    typer.echo("\n".join(lines))
+
+
+def _tell(*lines: str) -> None:
+    """Write lines to stderr."""
+    typer.echo("\n".join(lines), err=True)
+
+
+def _print_json(data: Any) -> None:
+    import json
+
+    typer.echo(json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _write(path: Path, text: str, quiet: bool) -> None:
+    from .specs.files import write_atomically
+
+    write_atomically(path, text.encode())
+    _wrote(path, quiet)
+
+
+def _wrote(path: Path, quiet: bool) -> None:
+    if not quiet:
+        _tell(f"wrote {path}")
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    """Run a command; every way in which it can end is an exit code."""
+    try:
+        code = app(args=None if arguments is None else list(arguments), prog_name="setrl", standalone_mode=False)
+        sys.stdout.flush()
+        return code if isinstance(code, int) else OK
+    except _USAGE as error:
+        return _usage_error(error)
+    except (typer.Abort, KeyboardInterrupt):
+        _tell("setrl: aborted")
+        return ABORTED
+    except SystemExit as end:  # typer leaves with 1 when stdout is closed early, as by `| head`
+        return PIPE_CLOSED if end.code == 1 else int(end.code or 0)
+    except BrokenPipeError:
+        return PIPE_CLOSED
+    except Exception as error:  # noqa: BLE001 - the outermost frame: nothing continues after it
+        return _failure(error)
+
+
+def _usage_error(error: Any) -> int:
+    if type(error).__name__ == "NoArgsIsHelpError":
+        _tell(error.format_message())
+        return BAD_INPUT
+    command = getattr(getattr(error, "ctx", None), "command_path", "setrl")
+    _tell(f"setrl: error: {_one_line(error.format_message())} (see {command} --help)")
+    return BAD_INPUT
+
+
+def _failure(error: Exception) -> int:
+    """Wrong input is one line; anything else, a broken invariant above all, is a bug to report."""
+    from .specs.errors import SetrlError
+
+    if isinstance(error, SetrlError):
+        _tell(f"setrl: error: {_one_line(error)}")
+        return BAD_INPUT
+    import traceback
+
+    traceback.print_exception(error, file=sys.stderr)
+    _tell(
+        f"setrl: internal error: {type(error).__name__}: {_one_line(error)} (nothing was proved; please report this "
+        "with the policy, the specification and the output of `setrl doctor`)"
+    )
+    return INTERNAL
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line and exit.
 
     Parameters
@@ -53,5 +524,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         What follows the program's name; the process's own arguments by default.
     """
-    app(args=None if arguments is None else list(arguments), prog_name="setrl")
-    sys.exit(0)
+    code = _run(arguments)
+    if code == PIPE_CLOSED:  # nothing can be written any more, not even what is still buffered
+        import os
+
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    sys.exit(code)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from hashlib import sha256
 from itertools import pairwise
@@ -13,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..specs.errors import PolicyError
+from ..specs.files import write_atomically
 from .policy import Affine, Layer
 
 OPSET = 13
@@ -32,7 +31,7 @@ def write_policy(
 ) -> str:
     """Write a policy network as ONNX: one Gemm per affine map, one operator per activation, a dynamic batch.
 
-    The file is written beside its destination, synced, and renamed: a reader never sees half of it.
+    The file is whole or not there; see `specs.files.write_atomically`.
 
     Parameters
     ----------
@@ -53,9 +52,11 @@ def write_policy(
     ------
     PolicyError
         The layers do not fit each other, or a number is not finite in `precision`.
+    InputError
+        The file cannot be written.
     """
     content = policy_bytes(layers, precision=precision, name=name, description=description)
-    write_atomically(Path(path), content)
+    write_atomically(path, content)
     return sha256(content).hexdigest()
 
 
@@ -133,21 +134,3 @@ def _tensor(name: str, array: Any, kind: int) -> Any:
 
     little = array.astype(array.dtype.newbyteorder("<"))
     return helper.make_tensor(name, kind, array.shape, little.tobytes(), raw=True)
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file through a temporary one beside it that is synced and renamed."""
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise PolicyError(f"cannot write here: {error.strerror}", where=str(path)) from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

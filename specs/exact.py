@@ -46,6 +46,44 @@ def exact_decimal(text: str) -> Fraction:
     return Fraction(text)
 
 
+MAX_RANGE = 1000
+
+
+def decimal_range(text: str) -> tuple[Fraction, ...]:
+    """Read ``first:last:step`` (first, first + step, ... up to last) or a list ``0,0.1,0.2`` of non-negative numbers.
+
+    Parameters
+    ----------
+    text : str
+
+    Returns
+    -------
+    tuple of Fraction
+        At least one number, at most `MAX_RANGE`; in a range both ends, where the step divides it.
+
+    Raises
+    ------
+    InputError
+        With the remedy.
+    """
+    remedy = "write first:last:step such as 0:0.5:0.05, or a list such as 0,0.1,0.2"
+    parts = text.split(":")
+    if len(parts) not in (1, 3):
+        raise InputError(f"expected a range or a list of numbers, found {shown(text)}", remedy=remedy)
+    values = [exact_decimal(part.strip()) for part in (parts if len(parts) == 3 else text.split(","))]
+    if len(parts) == 3:
+        first, last, step = values
+        if step <= 0 or last < first:
+            raise InputError(f"expected first <= last and a positive step, found {shown(text)}", remedy=remedy)
+        count = (last - first) // step + 1
+        values = [first + index * step for index in range(min(count, MAX_RANGE + 1))]
+    if len(values) > MAX_RANGE:
+        raise InputError(f"expected at most {MAX_RANGE} numbers, found more", remedy="choose a larger step")
+    if min(values) < 0:
+        raise InputError(f"expected numbers that are not negative, found {shown(text)}", remedy=remedy)
+    return tuple(values)
+
+
 def check_exponent(text: str) -> None:
     """Reject a decimal whose exponent is beyond `MAX_EXPONENT`; expanding it would need that many digits."""
     _, _, exponent = text.lower().partition("e")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from decimal import Context, Decimal
 from fractions import Fraction
 
 from ..models.closed_loop import BoundRequirement, ClosedLoop
@@ -11,6 +13,29 @@ from ..models.closed_loop import BoundRequirement, ClosedLoop
 def number(value: Fraction | float) -> str:
     """Short decimal of a number."""
     return f"{float(value):.6g}"
+
+
+def at_least(value: float, digits: int = 6) -> str:
+    """Short decimal that is not above a number: a bound that is printed must still hold."""
+    return _short(value, digits, "ROUND_FLOOR")
+
+
+def at_most(value: float, digits: int = 2) -> str:
+    """Short decimal that is not below a number."""
+    return _short(value, digits, "ROUND_CEILING")
+
+
+def _short(value: float, digits: int, rounding: str) -> str:
+    if not math.isfinite(value):
+        return f"{value:g}"
+    exact = Decimal(value)
+    rounded = Context(prec=digits, rounding=rounding).plus(exact)
+    return f"{float(rounded):.{digits}g}"
+
+
+def quantity(count: int, noun: str) -> str:
+    """``1 cell``, ``2 cells``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
@@ -31,7 +56,8 @@ def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
     if any(radius > 0 for radius in loop.observation_radius):
         radius = noise[0] if len(set(noise)) == 1 else "(" + ", ".join(noise) + ")"
         perturbed = f"observations perturbed by up to {radius}"
-    disturbed = f" and {len(loop.disturbances)} bounded disturbance(s)" if loop.disturbances else ""
+    moving = sum(1 for bound in loop.disturbances if bound.lower != bound.upper)
+    disturbed = f" and {quantity(moving, 'bounded disturbance')}" if moving else ""
     executed = " and as executed in ".join(
         {"real": "exact real arithmetic"}.get(name, f"{name} by onnxruntime on a CPU") for name in semantics
     )
