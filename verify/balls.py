@@ -175,30 +175,24 @@ def sincos(a: Ball) -> tuple[Ball, Ball]:
         usable = a.rad <= 1.5
         rad = np.where(usable, a.rad, 1.5)
         mid = np.where(usable, a.mid, 0.0)
-        sine, cosine = np.sin(mid), np.cos(mid)
+        value = np.stack([np.sin(mid), np.cos(mid)])  # both functions at once: each is the other's slope
+        size = np.abs(value)
+        slope = size[::-1]
         # sin r <= r, and 1 - cos r = 2 sin^2(r/2) without cancellation
         sin_r = np.minimum(rounding.enlarged(np.sin(rad), 8), rad)
         half = np.sin(0.5 * rad)
-        drop = rounding.enlarged(2.0 * half * half, 20)
-        unbounded = Ball(np.zeros_like(mid), np.ones_like(mid))
-        results = []
-        for value, slope in ((sine, cosine), (cosine, sine)):
-            error = rounding.elementary_error(value) + rounding.elementary_error(slope)
-            # strict margin of this float comparison: 16 units on both products
-            steady = np.abs(slope) * (1.0 - drop) > rounding.enlarged(np.abs(value) * sin_r, 64)
-            slope_part = rounding.enlarged(np.abs(slope), 10) * sin_r
-            value_abs = rounding.enlarged(np.abs(value), 10)
-            low_drop = 2.0 * half * half
-            # sin m cos r = sin m - sin m (1 - cos r)
-            steady_mid = value - value * low_drop
-            steady_rad = slope_part + error + rounding.relative_error(value_abs, 40) + rounding.TINY
-            wide_mid = value - 0.5 * value * low_drop
-            wide_rad = slope_part + 0.5 * value_abs * drop + error + rounding.relative_error(value_abs, 40)
-            center = np.where(steady, steady_mid, wide_mid)
-            radius = rounding.enlarged(np.where(steady, steady_rad, wide_rad), 8)
-            good = usable & np.isfinite(radius)
-            results.append(Ball(np.where(good, center, unbounded.mid), np.where(good, radius, unbounded.rad)))
-        return results[0], results[1]
+        drop = 2.0 * half * half
+        most_drop = rounding.enlarged(drop, 20)
+        # a float comparison with a margin of 64 units on the side that must be smaller
+        steady = slope * (1.0 - most_drop) > rounding.enlarged(size * sin_r, 64)
+        # sin m cos r = sin m - sin m (1 - cos r)
+        center = value - value * np.where(steady, drop, 0.5 * drop)
+        radius = slope * sin_r + np.where(steady, 0.0, 0.5 * size * most_drop)
+        # elementary errors of value, slope and drop, all relative to sizes of at most 1
+        radius = rounding.enlarged(radius + rounding.relative_error(size, 60), 40)
+        good = usable & np.isfinite(radius)
+        center, radius = np.where(good, center, 0.0), np.where(good, radius, 1.0)
+        return Ball(center[0], radius[0]), Ball(center[1], radius[1])
 
 
 class BallAlgebra:

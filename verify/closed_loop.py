@@ -18,7 +18,7 @@ from .deployed import deployed_error
 from .integrator import PeriodFlow, integrate
 from .model import Model, clip_activations
 from .network import enclose_layers, merge_rows
-from .options import Options
+from .options import LEAST_GENERATORS, Options
 from .relaxations import relax
 from .zonotope import (
     Zonotope,
@@ -32,7 +32,14 @@ from .zonotope import (
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SOURCES = ("initial set", "observation perturbation", "disturbances", "network relaxation", "flow remainder", "order reduction")
+SOURCES = (
+    "initial set",
+    "observation perturbation",
+    "disturbances",
+    "network relaxation",
+    "flow remainder",
+    "order reduction",
+)
 
 
 @dataclass
@@ -182,8 +189,10 @@ class Engine:
             constant = tracked.coordinates(slice(states, first_delayed))
             result = concatenate(concatenate(end, constant), queue)
             scale = result.spread
-            positive = np.where(scale > 0.0, scale, np.where(scale.max(1, keepdims=True) > 0, scale.max(1, keepdims=True), 1.0))
-            rows = options.generators * states + (result.dimension - states) * options.generators // 2 + self.protected
+            positive = np.where(
+                scale > 0.0, scale, np.where(scale.max(1, keepdims=True) > 0, scale.max(1, keepdims=True), 1.0)
+            )
+            rows = max(options.generators * result.dimension, LEAST_GENERATORS) + self.protected
             reduced, boxed = reduce_order(result, self.protected, rows, positive)
             growth = self._growth(cells, tracked, computed, end, flow, boxed, positive, shared, shares)
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)

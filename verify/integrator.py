@@ -110,7 +110,9 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
         current = int(level[pending].min())
         cells = pending[level[pending] == current]
         whole = cells.size == joint.batch
-        steps, end, added, truncation, sound = _steps(take_step, joint if whole else joint[cells], period, 2**current, rows)
+        steps, end, added, truncation, sound = _steps(
+            take_step, joint if whole else joint[cells], period, 2**current, rows
+        )
         spread = end.spread[:, :states]
         size = np.abs(end.center[:, :states])
         allowed = options.remainder_share * spread + options.remainder_floor * np.maximum(size, 1.0)

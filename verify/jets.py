@@ -107,16 +107,6 @@ Derivatives = tuple[Ball, Ball, Ball]
 """f, f' and f'' over the range of the value."""
 
 
-def _sine(x: Ball) -> Derivatives:
-    sine, cosine = balls.sincos(x)
-    return sine, cosine, balls.negate(sine)
-
-
-def _cosine(x: Ball) -> Derivatives:
-    sine, cosine = balls.sincos(x)
-    return cosine, balls.negate(sine), balls.negate(cosine)
-
-
 def _exponential(x: Ball) -> Derivatives:
     value = balls.exp(x)
     return value, value, value
@@ -147,17 +137,24 @@ def _hyperbolic_tangent(x: Ball) -> Derivatives:
 
 
 FUNCTIONS: dict[str, Callable[[Ball], Derivatives]] = {
-    "sin": _sine,
-    "cos": _cosine,
     "exp": _exponential,
     "reciprocal": _reciprocal,
     "log": _logarithm,
     "sqrt": _square_root,
     "tanh": _hyperbolic_tangent,
 }
-"""Elementary functions by name, with two derivatives."""
+"""Elementary functions by name, with two derivatives; `sincos_jets` has sine and cosine."""
 
 
 def function_jet(space: JetSpace, name: str, a: Ball) -> Ball:
     """Jet of an elementary function of a jet, shape (..., C)."""
     return compose(space, a, *FUNCTIONS[name](a[..., :1]))
+
+
+def sincos_jets(space: JetSpace, a: Ball) -> tuple[Ball, Ball]:
+    """Jets of sin(a) and cos(a), computed together: each is the other's derivative."""
+    sine, cosine = balls.sincos(a[..., :1])
+    both = Ball(np.stack([sine.mid, cosine.mid]), np.stack([sine.rad, cosine.rad]))
+    first = Ball(np.stack([cosine.mid, -sine.mid]), np.stack([cosine.rad, sine.rad]))
+    result = compose(space, Ball(np.stack([a.mid, a.mid]), np.stack([a.rad, a.rad])), both, first, balls.negate(both))
+    return result[0], result[1]

@@ -66,23 +66,23 @@ def enclose_layers(layers: Sequence[Layer], inputs: Zonotope) -> NetworkEnclosur
     """
     z = inputs
     errors: Array | None = None
+    sums: Array | None = None  # |G| 1, known after an activation
     bounds = []
     for layer in layers:
-        spread = z.spread
-        if errors is not None:
-            spread = rounding.enlarged(spread + errors, 1)
+        if sums is None:
+            sums = rounding.absolute_sum(z.generators, -2)
+        spread = z.radius + sums if errors is None else z.radius + sums + errors
+        spread = rounding.enlarged(spread, 2)
         seen = LayerBounds(rounding.lower(z.center, spread), rounding.upper(z.center, spread))
         bounds.append(seen)
         if isinstance(layer, Affine):
             weight, bias = affine_weights(layer)
-            z = linear_map(_with_error_rows(z, errors), weight, bias)
-            errors = None
-        else:
-            z, new = _activate(z, layer, seen)
             if errors is not None:
-                # an activation directly after an activation: the first one's errors pass through the slope
-                new = rounding.enlarged(new + errors * np.abs(relax(layer, seen.lower, seen.upper).slope), 3)
-            errors = new
+                sums = rounding.enlarged(sums + errors, 1)
+            z = linear_map(_with_error_rows(z, errors), weight, bias, sums)
+            errors = sums = None
+        else:
+            z, sums, errors = _activate(z, sums, errors, layer, seen)
     return NetworkEnclosure(_with_error_rows(z, errors), tuple(bounds))
 
 
@@ -98,24 +98,30 @@ def _with_error_rows(z: Zonotope, errors: Array | None) -> Zonotope:
     return append_rows(z, rows)
 
 
-def _activate(z: Zonotope, activation: Activation, seen: LayerBounds) -> tuple[Zonotope, Array]:
-    """Apply a relaxation: ``m z + offset`` with its rounding in the radius, and the relaxation errors apart."""
+def _activate(
+    z: Zonotope, sums: Array, errors: Array | None, activation: Activation, seen: LayerBounds
+) -> tuple[Zonotope, Array, Array]:
+    """Apply a relaxation: ``m z + offset`` with its rounding in the radius, and the relaxation errors apart.
+
+    Returns the set, the new upper bound of |G| 1, and the errors; those of an activation directly before this one pass
+    through the slope.
+    """
     relaxation = relax(activation, seen.lower, seen.upper)
-    slope = relaxation.slope
-    center = slope * z.center + relaxation.offset
-    generators = z.generators * slope[:, None, :]
-    total = rounding.enlarged(np.abs(generators).sum(1), generators.shape[1] + 1)
+    slope, size = relaxation.slope, np.abs(relaxation.slope)
     scaled = slope * z.center
-    radius = rounding.enlarged(
-        np.abs(slope) * z.radius
-        + rounding.relative_error(total, 1)
-        + rounding.relative_error(scaled, 1)
-        + rounding.relative_error(center, 1),
-        4,
-    )
-    # a neuron that is constantly zero stays exactly zero: no residue in any later layer
-    radius = np.where((slope == 0.0) & (relaxation.offset == 0.0), 0.0, radius)
-    return Zonotope(center, generators, radius), relaxation.error
+    center = scaled + relaxation.offset
+    generators = z.generators * slope[:, None, :]
+    sums = rounding.enlarged(size * sums, 2)
+    # a product with 0 or 1 is exact, and then so is adding no offset: stable neurons leave no residue
+    rounded = (slope != 0.0) & (slope != 1.0)
+    products = rounding.relative_error(sums, 1) + rounding.relative_error(scaled, 1)
+    radius = size * z.radius + np.where(rounded, products, 0.0)
+    radius = radius + np.where(relaxation.offset == 0.0, 0.0, rounding.relative_error(center, 1))
+    radius = np.where(slope == 0.0, np.where(relaxation.offset == 0.0, 0.0, radius), rounding.enlarged(radius, 4))
+    new = relaxation.error
+    if errors is not None:
+        new = rounding.enlarged(new + errors * size, 2)
+    return Zonotope(center, generators, radius), sums, new
 
 
 def merge_rows(z: Zonotope, shared: int, rows: int) -> Zonotope:

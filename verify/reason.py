@@ -49,7 +49,9 @@ def explain(
         )
         remedy = "look at the trajectory (`setrl simulate`); retrain the policy or change the specification"
     elif found.stopped:
-        sentence = f"{found.stopped} after {number(found.periods_enclosed)} enclosed periods; {failed.size} cell(s) undecided"
+        sentence = (
+            f"{found.stopped} after {number(found.periods_enclosed)} enclosed periods; {failed.size} cell(s) undecided"
+        )
         remedy = "give it more time (--timeout)"
     elif reached < loop.periods and not _has_failing_requirement(found, failed):
         sentence = f"the reachable set could not be enclosed beyond {number(until)} s"

@@ -89,14 +89,14 @@ def _piecewise_linear(
 
 def _tanh(lower: Any, upper: Any, xp: Any) -> Relaxation:
     """Chord slope and parallel slope min(f'(l), f'(u)); per neuron the one with the smaller error."""
-    first = _tanh_with_slope(_chord_slope(lower, upper, xp), lower, upper, xp)
     ends = xp.minimum(_tanh_slope(lower, xp), _tanh_slope(upper, xp))
-    second = _tanh_with_slope(ends, lower, upper, xp)
-    better = first.error <= second.error
+    slopes = xp.stack([_chord_slope(lower, upper, xp), ends])
+    both = _tanh_with_slope(slopes, lower, upper, xp)
+    better = both.error[0, ...] <= both.error[1, ...]
     return Relaxation(
-        xp.where(better, first.slope, second.slope),
-        xp.where(better, first.offset, second.offset),
-        xp.where(better, first.error, second.error),
+        xp.where(better, both.slope[0, ...], both.slope[1, ...]),
+        xp.where(better, both.offset[0, ...], both.offset[1, ...]),
+        xp.where(better, both.error[0, ...], both.error[1, ...]),
     )
 
 
@@ -114,7 +114,7 @@ def _chord_slope(lower: Any, upper: Any, xp: Any) -> Any:
 
 
 def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
-    """Bounds of tanh(x) - m x for a given slope.
+    """Bounds of tanh(x) - m x for given slopes (a leading axis of alternatives is allowed).
 
     tanh is concave for x >= 0: there the residual's minimum is at an end, and its maximum is bounded by the tangent at
     any p >= 0: ``f(x) - m x <= f(p) - m p + |f'(p) - m| max |x - p|``; p near atanh(sqrt(1 - m)), where f' = m, makes
@@ -125,7 +125,7 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     usable = slope > 2.0**-50
     root = xp.sqrt(1.0 - xp.where(usable, slope, xp.ones_like(slope)))
     place = xp.where(usable, xp.atanh(root), xp.full_like(root, 20.0))
-    zero = xp.zeros_like(lower)
+    zero = xp.zeros_like(slope)
     at_lower, at_upper = _residual(lower, slope, xp), _residual(upper, slope, xp)
     low = xp.minimum(at_lower[0], at_upper[0])
     high = xp.maximum(at_lower[1], at_upper[1])
@@ -149,9 +149,7 @@ def _residual(x: Any, slope: Any, xp: Any) -> tuple[Any, Any]:
     product = slope * x
     residual = value - product
     error = (
-        abs(value) * (rounding.ELEMENTARY_UNITS * rounding.UNIT)
-        + rounding.relative_error(product, 1)
-        + rounding.relative_error(residual, 1)
+        rounding.elementary_error(value) + rounding.relative_error(product, 1) + rounding.relative_error(residual, 1)
     )
     error = rounding.enlarged(error, 4)
     return residual - 2.0 * error, residual + 2.0 * error
@@ -162,8 +160,7 @@ def _tangent_bound(p: Any, slope: Any, start: Any, stop: Any, xp: Any) -> Any:
     value = xp.tanh(p)
     derivative = (1.0 - value) * (1.0 + value)
     # |d(1 - t^2)| <= 2 |dt|: the elementary error of tanh enters absolutely, not relative to the derivative
-    derivative_error = 4.0 * rounding.ELEMENTARY_UNITS * rounding.UNIT
-    mismatch = abs(derivative - slope) + derivative_error
+    mismatch = abs(derivative - slope) + 4.0 * rounding.elementary_error(1.0)
     reach = xp.maximum(stop - p, p - start)
     top = _residual(p, slope, xp)[1]
     return top + rounding.enlarged(mismatch * reach, 6) + rounding.relative_error(top, 2)
@@ -181,7 +178,9 @@ def _relu(lower: Any, upper: Any, xp: Any) -> Relaxation:
     """m = u / (u - l); f - m x lies in [0, max(-m l, (1 - m) u)] for any m in [0, 1], so m needs no care."""
     crossing = (lower < 0) & (upper > 0)
     width = xp.where(crossing, upper - lower, xp.ones_like(lower))
-    slope = xp.where(crossing, xp.clip(upper / width, 0.0, 1.0), xp.where(lower >= 0, xp.ones_like(lower), xp.zeros_like(lower)))
+    slope = xp.where(
+        crossing, xp.clip(upper / width, 0.0, 1.0), xp.where(lower >= 0, xp.ones_like(lower), xp.zeros_like(lower))
+    )
     top = rounding.enlarged(xp.maximum(-slope * lower, (1.0 - slope) * upper), 3)
     half = xp.where(crossing, 0.5 * top, xp.zeros_like(top))
     return Relaxation(slope, half, half)

@@ -31,9 +31,6 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-PROGRAM_RANGE = 0.25
-"""A linear program is tried only where the best simple direction misses by less than this share of the set's spread."""
-
 
 @dataclass
 class Monitor:
@@ -117,11 +114,15 @@ class Monitor:
             proved = margin > 0.0
             final = proved | (4 * slabs > self.options.slabs)
             for position in np.flatnonzero(final):
-                place = Zonotope(
-                    sets.center[position, worst[position]][None, :states],
-                    sets.generators[position, worst[position]][None],
-                    sets.radius[position, worst[position]][None],
-                ) if not proved[position] else None
+                place = (
+                    Zonotope(
+                        sets.center[position, worst[position]][None, :states],
+                        sets.generators[position, worst[position]][None],
+                        sets.radius[position, worst[position]][None],
+                    )
+                    if not proved[position]
+                    else None
+                )
                 when = float(begin + step.duration * (2 * int(worst[position]) + 1) / (2 * slabs))
                 self._record_one(int(index[cells[position]]), float(margin[position]), when, place)
             if final.all():
@@ -161,7 +162,8 @@ class Monitor:
             for slab in np.argsort(margins[cell]):
                 margin = margins[cell, slab]
                 z = Zonotope(sets.center[cell, [slab]], sets.generators[cell, [slab]], sets.radius[cell, [slab]])
-                if not (-PROGRAM_RANGE * z.spread.max() < margin <= 0.0):
+                reach = max(member.program_range for member in self.members) * float(z.spread.max())
+                if not (-reach < margin <= 0.0):
                     break
                 best = min(max(program_separation(z, member)[0], self._one(z, member)) for member in self.members)
                 margins[cell, slab] = max(margin, best)

@@ -99,7 +99,7 @@ def center_radius(low: Any, high: Any) -> tuple[Any, Any]:
 
 def elementary_error(value: Any) -> Any:
     """Error bound of an elementary function whose float result is `value`."""
-    return np.abs(value) * (ELEMENTARY_UNITS * UNIT) + TINY
+    return abs(value) * (ELEMENTARY_UNITS * UNIT) + TINY
 
 
 def ball_of(number: Fraction) -> tuple[float, float]:

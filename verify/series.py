@@ -15,7 +15,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ..models.tape import Tape, run
 from . import balls, rounding
 from .balls import Ball
-from .jets import JetSpace, function_jet, jet_product, jet_space
+from .jets import JetSpace, function_jet, jet_product, jet_space, sincos_jets
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -33,12 +33,13 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Node:
-    """One series. `operands` are needed up to coefficient k for coefficient k; `lagged` (the r of a primitive, f of a
-    state) only up to k - 1."""
+    """One series. `operands` are needed up to coefficient k for coefficient k; `lagged` (the r of a primitive, times `sign`)
+    only up to k - 1."""
 
     kind: str
     operands: tuple[int, ...] = ()
     lagged: int = -1
+    sign: int = 1
     function: str = ""
     value: Fraction | None = None
 
@@ -59,14 +60,13 @@ class _Builder:
             self.known[node] = self.new(node)
         return self.known[node]
 
-    def lag(self, node: int, lagged: int) -> int:
+    def lag(self, node: int, lagged: int, sign: int = 1) -> int:
         """Set what a primitive integrates, once that node exists."""
-        old = self.nodes[node]
-        self.nodes[node] = Node(old.kind, old.operands, lagged, old.function, old.value)
+        self.nodes[node] = replace(self.nodes[node], lagged=lagged, sign=sign)
         return node
 
     def primitive(self, function: str, a: int) -> int:
-        return self.new(Node("primitive", (a, self.shared(Node("weighted", (a,)))), function=function))
+        return self.new(Node("primitive", (a,), function=function))
 
     def constant(self, value: Fraction) -> int:
         return self.shared(Node("constant", value=value))
@@ -94,7 +94,7 @@ class _Builder:
 
     def sincos(self, a: int) -> tuple[int, int]:
         sine, cosine = self.primitive("sin", a), self.primitive("cos", a)
-        return self.lag(sine, cosine), self.lag(cosine, self.negate(sine))
+        return self.lag(sine, cosine), self.lag(cosine, sine, -1)
 
     def exp(self, a: int) -> int:
         result = self.primitive("exp", a)
@@ -116,7 +116,8 @@ class _Builder:
 class Group:
     """Nodes of one kind on one level: positions `start` .. `stop` of the storage.
 
-    `first` and `second` are the positions of the operands, `lagged` of what primitives integrate.
+    `first` and `second` are the positions of the operands, `lagged` of what primitives integrate, `signs` its signs,
+    shape (V, 1, 1).
     """
 
     kind: str
@@ -125,6 +126,7 @@ class Group:
     first: Indices
     second: Indices
     lagged: Indices
+    signs: Array
     functions: tuple[str, ...]
     values: tuple[Fraction | None, ...]
 
@@ -183,9 +185,10 @@ def plan_of(tape: Tape) -> Plan:
             return np.array([position[n.operands[number]] for n in chosen if len(n.operands) > number], dtype=np.intp)
 
         lagged = np.array([position[n.lagged] for n in chosen if n.lagged >= 0], dtype=np.intp)
+        signs = np.array([float(n.sign) for n in chosen])[:, None, None]
         functions, values = tuple(n.function for n in chosen), tuple(n.value for n in chosen)
         groups.append(
-            Group(key[1], start, start + len(members), operand(0), operand(1), lagged, functions, values)
+            Group(key[1], start, start + len(members), operand(0), operand(1), lagged, signs, functions, values)
         )
     outs = np.array([position[i] for i in outputs], dtype=np.intp)
     return Plan(len(inputs), tuple(groups), outs, len(nodes))
@@ -202,26 +205,35 @@ class _Convolution:
         self.space = space
         self.left, self.right = np.empty(shape), np.empty(shape)
         self.left_factors, self.right_factors = np.empty((2, *shape)), np.empty((2, *shape))
-        self.sum_factor = rounding.product_factor(4 * terms)
+        # terms of the sum, and three roundings more for a weight, a divisor and the radius itself
+        self.sum_factor = rounding.product_factor(4 * terms + 3)
 
-    def put_left(self, k: int, data: Array) -> None:
-        """Store coefficient k of the left factors, (2, count, B, C)."""
-        gathered = data[..., self.space.left]
+    def put_left(self, k: int, data: Array, weight: float = 1.0) -> None:
+        """Store coefficient k of the left factors, (2, count, B, C), times a small whole number."""
+        gathered = data.take(self.space.left, axis=-1)
+        if weight != 1.0:
+            gathered *= weight
         self.left[k] = gathered[0]
         np.abs(gathered[0], out=self.left_factors[0, k])
         self.left_factors[1, k] = gathered[1]
 
-    def put_right(self, k: int, data: Array) -> None:
-        """Store coefficient k of the right factors."""
-        gathered = data[..., self.space.right]
+    def put_right(self, k: int, data: Array, signs: Array | None = None) -> None:
+        """Store coefficient k of the right factors, times signs."""
+        gathered = data.take(self.space.right, axis=-1)
         magnitude = np.abs(gathered[0])
-        self.right[k] = gathered[0]
+        if signs is None:
+            self.right[k] = gathered[0]
+        else:
+            np.multiply(gathered[0], signs, out=self.right[k])
         np.add(gathered[1], magnitude, out=self.right_factors[1, k])
         magnitude *= self.sum_factor
         np.add(gathered[1], magnitude, out=self.right_factors[0, k])
 
-    def sum(self, lowest: int, k: int) -> Ball:
-        """``sum_(j=lowest..k) left_j right_(k-j)``, shape (count, B, C)."""
+    def sum(self, lowest: int, k: int, divisor: float = 1.0) -> Ball:
+        """``sum_(j=lowest..k) left_j right_(k-j) / divisor``, shape (count, B, C).
+
+        The divisor's own rounding is one unit of the quotient, at most of the sum of magnitudes: `sum_factor` has it.
+        """
         stop = k - lowest
         right = self.right[stop::-1] if stop >= 0 else self.right[:0]
         mid = np.einsum("jvbp,jvbp->vbp", self.left[lowest : k + 1], right)
@@ -230,7 +242,10 @@ class _Convolution:
         if self.space.size < mid.shape[-1]:
             mid = np.add.reduceat(mid, self.space.starts, axis=-1)
             rad = np.add.reduceat(rad, self.space.starts, axis=-1)
-        return Ball(mid, rounding.enlarged(rad, 8 * k + 16))
+        if divisor != 1.0:
+            mid /= divisor
+            rad /= divisor
+        return Ball(mid, rounding.enlarged(rad, 8 * k + 20))
 
 
 class _Evaluation:
@@ -290,9 +305,6 @@ class _Evaluation:
     def _negate(self, number: int, group: Group, k: int) -> Ball:
         return balls.negate(self._operand(group.first, k))
 
-    def _weighted(self, number: int, group: Group, k: int) -> Ball:
-        return balls.scale(self._operand(group.first, k), float(k))
-
     def _product(self, number: int, group: Group, k: int) -> Ball:
         convolution = self._convolution(number, group)
         convolution.put_left(k, self.data[:, k, group.first])
@@ -309,15 +321,21 @@ class _Evaluation:
 
     def _primitive(self, number: int, group: Group, k: int) -> Ball:
         convolution = self._convolution(number, group)
-        convolution.put_left(k, self.data[:, k, group.second])
         if k == 0:
             return self._functions(group)
-        convolution.put_right(k - 1, self.data[:, k - 1, group.lagged])
-        return balls.divide_exact(convolution.sum(1, k), float(k))
+        convolution.put_left(k, self.data[:, k, group.first], float(k))
+        convolution.put_right(k - 1, self.data[:, k - 1, group.lagged], group.signs)
+        return convolution.sum(1, k, float(k))
 
     def _functions(self, group: Group) -> Ball:
+        """Coefficient 0 of primitives; sine and cosine of one argument, which always come in pairs, are computed together."""
         argument = self._operand(group.first, 0)
-        jets = [function_jet(self.space, name, argument[i]) for i, name in enumerate(group.functions)]
+        jets: list[Ball] = []
+        for i, name in enumerate(group.functions):
+            if name == "sin":
+                jets += sincos_jets(self.space, argument[i])
+            elif name != "cos":
+                jets.append(function_jet(self.space, name, argument[i]))
         return Ball(np.stack([j.mid for j in jets]), np.stack([j.rad for j in jets]))
 
     def _reciprocal(self, number: int, group: Group, k: int) -> Ball:

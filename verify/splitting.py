@@ -201,7 +201,10 @@ def explore(
 
 def _first_cells(engine: Engine, problems: int, factors: int) -> Exploration:
     tree = CellTree(
-        -np.ones((problems, factors)), np.ones((problems, factors)), -np.ones(problems, dtype=np.intp), np.arange(problems)
+        -np.ones((problems, factors)),
+        np.ones((problems, factors)),
+        -np.ones(problems, dtype=np.intp),
+        np.arange(problems),
     )
     loop = engine.model.loop
     inputs = len(loop.plant.inputs)

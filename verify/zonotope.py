@@ -94,7 +94,7 @@ def from_box(low: Array, high: Array) -> Zonotope:
     return Zonotope(center, radius[:, :, None] * np.eye(center.shape[-1]), np.zeros_like(center))
 
 
-def linear_map(z: Zonotope, weight: Ball, bias: Ball) -> Zonotope:
+def linear_map(z: Zonotope, weight: Ball, bias: Ball, row_sums: Array | None = None) -> Zonotope:
     """Enclose ``W z + b``.
 
     Generators map as fl(G W'); the radius takes the boxed part, the rounding of center and generators by row sums
@@ -106,6 +106,8 @@ def linear_map(z: Zonotope, weight: Ball, bias: Ball) -> Zonotope:
     z : Zonotope, shape (B, n)
     weight : Ball, shape (m, n) or (B, m, n)
     bias : Ball, shape (m,) or (B, m)
+    row_sums : array, shape (B, n), optional
+        Upper bound of |G| 1 where the caller has it.
 
     Returns
     -------
@@ -117,7 +119,8 @@ def linear_map(z: Zonotope, weight: Ball, bias: Ball) -> Zonotope:
     center = (z.center[:, None, :] @ transposed)[:, 0] + bias.mid
     terms, count = z.dimension, z.generators.shape[-2]
     factor = rounding.product_factor(terms + 2)
-    size = rounding.enlarged(np.abs(z.generators).sum(-2) + np.abs(z.center), count + 1)
+    sums = np.abs(z.generators).sum(-2) if row_sums is None else row_sums
+    size = rounding.enlarged(sums + np.abs(z.center), count + 1)
     inner = z.radius + factor * size
     radius = (inner[:, None, :] @ absolute)[:, 0] + factor * np.abs(bias.mid) + bias.rad
     if weight.rad.any():
