@@ -8,7 +8,7 @@ them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from .zonotope import (
     append_rows,
     concatenate,
     diagonal_rows,
+    pad_rows,
     reduce_order,
     unbox,
 )
@@ -183,6 +184,8 @@ class Engine:
             else:
                 action = computed
             joint = concatenate(state, action)
+            # factors that are private to this period's computed action own their rows even while the action is delayed
+            joint = replace(joint, generators=pad_rows(joint.generators, computed.generators.shape[1]))
             joint = self._with_disturbances(joint, tracked)
             flow = integrate(model.loop.plant, joint, model.loop.period, options, cells.substeps)
             end = flow.end.coordinates(slice(0, states))

@@ -177,12 +177,12 @@ def _sigmoid(lower: Any, upper: Any, xp: Any) -> Relaxation:
 def _relu(lower: Any, upper: Any, xp: Any) -> Relaxation:
     """m = u / (u - l); f - m x lies in [0, max(-m l, (1 - m) u)] for any m in [0, 1], so m needs no care."""
     crossing = (lower < 0) & (upper > 0)
-    width = xp.where(crossing, upper - lower, xp.ones_like(lower))
-    slope = xp.where(
-        crossing, xp.clip(upper / width, 0.0, 1.0), xp.where(lower >= 0, xp.ones_like(lower), xp.zeros_like(lower))
-    )
+    zero, one = xp.zeros_like(lower), xp.ones_like(lower)
+    # bounds that are not ordered numbers give no relaxation: NaN, never a neuron that is called inactive
+    stable = xp.where(lower >= 0, one, xp.where(upper <= 0, zero, xp.full_like(lower, xp.nan)))
+    slope = xp.where(crossing, xp.clip(upper / xp.where(crossing, upper - lower, one), 0.0, 1.0), stable)
     top = rounding.enlarged(xp.maximum(-slope * lower, (1.0 - slope) * upper), 3)
-    half = xp.where(crossing, 0.5 * top, xp.zeros_like(top))
+    half = xp.where(crossing, 0.5 * top, 0.0 * stable)
     return Relaxation(slope, half, half)
 
 

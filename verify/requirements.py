@@ -76,10 +76,10 @@ class Monitor:
         """Cells whose margin is a proof; complete only when the horizon's end was seen."""
         return (self.margin > 0.0) & np.isfinite(self.margin) & ~self.failed
 
-    def observe_start(self, index: Indices, start: Zonotope) -> None:
-        """Look at the initial set (time 0)."""
+    def observe_start(self, index: Indices, start: Zonotope, discrete: bool) -> None:
+        """Look at the initial set (time 0), unless the first time-interval set contains it anyway."""
         window = self.requirement
-        if window.start == 0 and (window.kind == "reach" or window.end == 0):
+        if window.start == 0 and (window.kind == "reach" or window.end == 0 or discrete):
             self._record(index, self._points(start), 0.0, start)
 
     def observe(self, period: Period, length: Fraction) -> None:

@@ -271,7 +271,7 @@ def _run_batch(
     hull = batch.tracked.coordinates(slice(0, states)).interval
     points[:, 0] = np.stack([hull.lower, hull.upper], 1)
     for monitor in monitors:
-        monitor.observe_start(everything, batch.tracked.coordinates(slice(0, states)))
+        monitor.observe_start(everything, batch.tracked.coordinates(slice(0, states)), loop.plant.discrete)
     # a root runs on after a failure: its V(s0), its plot and its reason are what the user gets to see
     whole = tree.parent < 0
     sound = np.zeros(count, dtype=np.intp)
