@@ -1,7 +1,8 @@
 """What can be proved: sets, enclosures, requirement checks, verdicts.
 
-The package is callable: ``setrl.verify(policy, specification)`` is `verifier.verify`, the one front door. Three islands in
-here do not import each other, because a shared bug must not confirm itself: the engine, the falsifier and the checker.
+The package is callable: ``setrl.verify(policy, specification)`` is `verifier.verify`, the one front door. Three
+islands in here do not import each other, because a shared bug must not confirm itself: the engine, the falsifier and
+the checker.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ def deployed_error(layers: Sequence[Layer], bounds: Sequence[LayerBounds], preci
             error = _affine(layer, size, error, unit, smallest)
         else:
             error = _activation(layer, seen, error, unit, subnormal, RUNTIME_ERROR[precision])
-    return error
+    return np.asarray(error)
 
 
 def _magnitude(seen: LayerBounds) -> Array:
@@ -60,9 +60,8 @@ def _magnitude(seen: LayerBounds) -> Array:
 
 
 def _affine(layer: Affine, size: Array, error: Array, unit: float, smallest: float) -> Array:
-    """One affine layer; stored numbers that are not exact are off by their weight error, which the runtime may share or not."""
+    """One affine layer; where a stored number only bounds the file's, the runtime may be off by the whole bound."""
     terms = layer.weight.shape[1] + 1
-    # where the stored number only bounds the file's, both computations may differ by the whole uncertainty
     weight, bias = np.abs(layer.weight), np.abs(layer.bias)
     summation = rounding.enlarged(np.float64(terms * unit / (1.0 - terms * unit)), 6)
     propagated = error @ weight.T + summation * (size @ weight.T + bias) + terms * smallest

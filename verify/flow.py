@@ -1,7 +1,7 @@
 """Flow enclosure by 2-jets: one integrator step of a batch of joint sets (states, inputs, disturbances).
 
-Inputs and disturbances are constant over a step, so they are states with derivative zero. With the time-Taylor coefficients
-phi_k of the flow map as functions of the start point, P = sum_k phi_k(c) t^k, and K the time order:
+Inputs and disturbances are constant over a step, so they are states with derivative zero. With the time-Taylor
+coefficients phi_k of the flow map as functions of the start point, P = sum_k phi_k(c) t^k, and K the time order:
 
     z(t) in P(c) + DP(c) d + 1/2 d' H d + z_[K](B) t^K,    H the Hessian of P over the set's enclosing interval,
 
@@ -273,9 +273,9 @@ def _three_jets(tape: Tape, z: Zonotope, box: Ball, prior: Ball, order: int) -> 
         return _cells_first(jets[0]), _cells_first(jets[1]), _cells_first(jets[2])
     points = (center, box, prior)
     stacked = Ball(np.concatenate([p.mid for p in points]), np.concatenate([p.rad for p in points]))
-    jets = _cells_first(flow_jets(tape, stacked, 2, order + 1))
+    together = _cells_first(flow_jets(tape, stacked, 2, order + 1))
     count = z.batch
-    return jets[:, :count], jets[:, count : 2 * count], jets[:, 2 * count :]
+    return together[:, :count], together[:, count : 2 * count], together[:, 2 * count :]
 
 
 def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int) -> JetStep:

@@ -24,8 +24,8 @@ Indices = NDArray[np.intp]
 class Step(Protocol):
     """One integrator step of a batch: what every flow method returns.
 
-    `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part of
-    it that shorter steps would diminish, `sound` where the enclosure exists (B,).
+    `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part
+    of it that shorter steps would diminish, `sound` where the enclosure exists (B,).
     """
 
     @property
@@ -97,7 +97,7 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
     if plant.discrete:
         image, added = image_of(plant.tape, joint, rows)
         end = concatenate(image, joint.coordinates(slice(states, joint.dimension)))
-        sound = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
+        sound = np.asarray(np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1))
         return PeriodFlow((StepGroup(np.arange(joint.batch), ()),), end, added, sound, guess)
     take_step = _method(plant, options, rows)
     most = options.max_substeps.bit_length() - 1

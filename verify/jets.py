@@ -64,7 +64,7 @@ def jet_space(order: int, dimension: int) -> JetSpace:
     if order >= 1:
         pairs += [[(0, 1 + i), (1 + i, 0)] for i in range(dimension)]
     if order == 2:
-        for h, (i, j) in enumerate(zip(rows, columns, strict=True)):
+        for h, (i, j) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
             entry = 1 + dimension + h
             pairs.append([(0, entry), (entry, 0), (1 + i, 1 + j), (1 + j, 1 + i)])
     flat = [pair for segment in pairs for pair in segment]
@@ -92,7 +92,7 @@ def jet_product(space: JetSpace, a: Ball, b: Ball) -> Ball:
 
 
 def compose(space: JetSpace, a: Ball, value: Ball, first: Ball, second: Ball) -> Ball:
-    """Jet of f(a): value f, gradient f' g, Hessian f'' g g' + f' H, with f, f', f'' given as balls of shape (..., 1)."""
+    """Jet of f(a): value f, gradient f' g, Hessian f'' g g' + f' H, for f, f', f'' as balls of shape (..., 1)."""
     parts = [value]
     if space.order >= 1:
         gradient = a[..., space.gradient]

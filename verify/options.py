@@ -7,7 +7,6 @@ from typing import Literal
 
 from ..specs.errors import UsageError
 
-
 LEAST_GENERATORS = 48
 """Small systems keep so many generators: they cost nothing there."""
 

@@ -57,7 +57,8 @@ def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: i
         return replace(image, generators=np.concatenate([image.generators, added_rows], 1)), np.zeros_like(image.center)
     index = _full_index(z.dimension)
     outputs = np.flatnonzero(magnitude.any((0, 2)))
-    variables = np.flatnonzero(magnitude[:, outputs].any((0, 1))[index].any(0))
+    curved = np.asarray(magnitude[:, outputs].any((0, 1)))
+    variables = np.flatnonzero(curved[index].any(0))
     index = index[np.ix_(variables, variables)]
     full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
     shift, new, boxed = _quadratic_form(full, _largest_rows(z.coordinates(variables)), rows)

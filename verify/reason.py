@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.closed_loop import ClosedLoop
 from .closed_loop import SOURCES
-from .falsifier import Candidate
 from .model import initial_box
 from .options import Options
 from .result import Reason
 from .splitting import FAILED, PROVED, Exploration, InitialSet
 from .wording import number
+
+if TYPE_CHECKING:
+    from .falsifier import Candidate
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Linear enclosures of activations on an interval, written once for numpy (proofs) and torch (training).
 
-For every neuron: any float slope m, then rigorous bounds d <= f(x) - m x <= D on [l, u]. The functions use only the Python
-array API standard, on arrays of float64 (for proofs) or of whatever the trainer propagates.
+For every neuron: any float slope m, then rigorous bounds d <= f(x) - m x <= D on [l, u]. The functions use only the
+Python array API standard, on arrays of float64 (for proofs) or of whatever the trainer propagates.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Requirements checked on everything reachable: signed margins, positive only where proved.
 
-avoid: every time-interval set (or the time-point set of a time-point window) is disjoint from every member of the union.
-stay: every such set is contained in one member of the union. reach: at one sampling instant of the window the
+avoid: every time-interval set (or the time-point set of a time-point window) is disjoint from every member of the
+union. stay: every such set is contained in one member of the union. reach: at one sampling instant of the window the
 time-point set is contained in one member.
 """
 
@@ -178,7 +178,8 @@ class Monitor:
         if self.requirement.kind == "avoid":
             check = (lambda z, m: facet_separation(z, m)[0]) if coarse else mixed_separation
             return np.min([check(z, member) for member in self.members], axis=0)  # type: ignore[no-any-return]
-        return np.max([containment_margins(z, member).min(1) for member in self.members], axis=0)  # type: ignore[no-any-return]
+        inside = [containment_margins(z, member).min(1) for member in self.members]
+        return np.max(inside, axis=0)  # type: ignore[no-any-return]
 
     def _points(self, z: Zonotope) -> Array:
         margins = self._intervals(z, coarse=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-class Verdict(str, Enum):
+class Verdict(StrEnum):
     """VERIFIED, FALSIFIED or UNKNOWN; FALSIFIED needs a proved witness, which this version cannot make yet."""
 
     VERIFIED = "VERIFIED"

@@ -3,8 +3,8 @@
 The unit roundoff is u = 2^-53. For products of A (m x k) and B (k x q), any summation order, with or without fused
 multiply-add [1]_: ``|fl(AB) - AB| <= gamma_k |A||B| + k 2^-1074``, gamma_k = k u / (1 - k u), k <= 2^20, no overflow.
 
-Nothing else in the package adds an epsilon. The engine calls these functions through the module (``rounding.enlarged``),
-so that a benchmark can measure what they cost.
+Nothing else in the package adds an epsilon. The engine calls these functions through the module
+(``rounding.enlarged``), so that a benchmark can measure what they cost.
 
 References
 ----------
@@ -51,7 +51,8 @@ def product_factor(terms: int) -> float:
 
 
 def product_error(terms: int, absolute: Any, columns: int = 1) -> Any:
-    """Bound of ``|fl(AB) - AB|``, given ``absolute = fl(|A||B|)``; with ``absolute = fl(|A| fl(|B| 1))`` of its row sums.
+    """Bound of ``|fl(AB) - AB|``, given ``absolute = fl(|A||B|)``; with ``absolute = fl(|A| fl(|B| 1))`` of its row
+    sums.
 
     Parameters
     ----------

@@ -102,7 +102,7 @@ def separation_margins(z: Zonotope, facets: Facets, weights: Array) -> Array:
 
 
 def containment_margins(z: Zonotope, facets: Facets) -> Array:
-    """Lower bounds of ``d_i - max_Z C_i.z`` per facet, shape (B, f); all positive proves containment in the interior."""
+    """Lower bounds of ``d_i - max_Z C_i.z`` per facet, shape (B, f); all positive proves containment."""
     size = z.interval.magnitude
     slack = rounding.enlarged(size @ facets.normals.rad.T, z.dimension + 2)
     most = z.support(facets.normals.mid)
@@ -128,8 +128,8 @@ def mixed_separation(z: Zonotope, facets: Facets) -> Array:
 def program_separation(z: Zonotope, facets: Facets) -> tuple[float, Array]:
     """Best separating direction of one zonotope by linear programming.
 
-    Maximises ``l.c - |G l|_1 - r.|l| - d.y`` over l = C'y, y >= 0, 1.y = 1 (cvxpy, HiGHS). The solver only proposes y; the
-    margin is evaluated with rounding bounds afterwards.
+    Maximises ``l.c - |G l|_1 - r.|l| - d.y`` over l = C'y, y >= 0, 1.y = 1 (cvxpy, HiGHS). The solver only proposes y;
+    the margin is evaluated with rounding bounds afterwards.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ A tape compiles (once) to a plan: nodes, grouped so that all nodes of one kind o
 operation. Coefficient k of every node follows from lower ones [1]_:
 
     product:     (a b)_k = sum_(j=0..k) a_j b_(k-j)
-    primitive:   y' = a' r, so y_k = 1/k sum_(j=1..k) (j a_j) r_(k-j)      (sin: r = cos; exp: r = y; tanh: r = 1 - y^2; ...)
+    primitive:   y' = a' r, so y_k = 1/k sum_(j=1..k) (j a_j) r_(k-j)      (sin: r = cos; exp: r = y)
     reciprocal:  q_k = -q_0 sum_(j=1..k) a_j q_(k-j)
     state:       z_k = f(z)_(k-1) / k
 
@@ -33,8 +33,9 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Node:
-    """One series. `operands` are needed up to coefficient k for coefficient k; `lagged` (the r of a primitive, times `sign`)
-    only up to k - 1."""
+    """One series. `operands` are needed up to coefficient k for coefficient k; `lagged` (the r of a primitive, times
+    `sign`) only up to k - 1.
+    """
 
     kind: str
     operands: tuple[int, ...] = ()
@@ -328,7 +329,7 @@ class _Evaluation:
         return convolution.sum(1, k, float(k))
 
     def _functions(self, group: Group) -> Ball:
-        """Coefficient 0 of primitives; sine and cosine of one argument, which always come in pairs, are computed together."""
+        """Coefficient 0 of primitives; sine and cosine of one argument always come in pairs, computed together."""
         argument = self._operand(group.first, 0)
         jets: list[Ball] = []
         for i, name in enumerate(group.functions):

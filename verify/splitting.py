@@ -1,8 +1,8 @@
 """Batched branch and bound over the initial set.
 
-A cell is a box in the factors of the initial set: ``x0 = c0 + diag(g0) beta`` with beta in [lower, upper], dyadic numbers in
-[-1, 1], so that children cover their parent exactly. All open cells move through one array program; verified cells are
-leaves; a cell that fails is cut in half where the failing margin says it helps most.
+A cell is a box in the factors of the initial set: ``x0 = c0 + diag(g0) beta`` with beta in [lower, upper], dyadic
+numbers in [-1, 1], so that children cover their parent exactly. All open cells move through one array program; verified
+cells are leaves; a cell that fails is cut in half where the failing margin says it helps most.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class InitialSet:
         return cls(center, radius, np.flatnonzero(radius > 0.0))
 
     def cells(self, lower: Array, upper: Array) -> tuple[Array, Array, Array]:
-        """Zonotopes of cells ``[lower, upper]`` of factor space, (B, p): center, rows (B, p, n), radius, rounded outward."""
+        """Zonotopes of cells of factor space, (B, p): center, rows (B, p, n), radius, rounded outward."""
         batch, factors = lower.shape
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)  # exact: dyadic numbers with few bits
         center = np.tile(self.center, (batch, 1))
@@ -370,7 +370,7 @@ def _cut(engine: Engine, state: Exploration, cells: Indices, most: int) -> None:
 
 
 def _cut_dimensions(engine: Engine, state: Exploration, cells: Indices) -> Indices:
-    """Factor with the largest generator in the failing margin's direction; the widest one where nothing failed visibly."""
+    """Factor with the largest generator in the failing margin's direction; else the widest one."""
     tree = state.tree
     width = tree.upper[cells] - tree.lower[cells]
     effect = width * 2.0**-30
@@ -379,7 +379,7 @@ def _cut_dimensions(engine: Engine, state: Exploration, cells: Indices) -> Indic
             number, place = state.failing[int(cell)]
             direction = failing_direction(engine, number, place)
             effect[position] += np.abs(place.generators[0, : width.shape[1]] @ direction)
-    return np.where(width > SMALLEST_CELL, effect, -1.0).argmax(1)
+    return np.asarray(np.where(width > SMALLEST_CELL, effect, -1.0).argmax(1), dtype=np.intp)
 
 
 def failing_direction(engine: Engine, number: int, place: Zonotope) -> Array:

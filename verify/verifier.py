@@ -45,7 +45,9 @@ class _Job:
     options: Options
 
 
-def load(policy: Policy | str | os.PathLike[str], specification: Specification | str | os.PathLike[str]) -> Any:
+def load(
+    policy: Policy | str | os.PathLike[str], specification: Specification | str | os.PathLike[str]
+) -> tuple[Policy, Specification]:
     """Read a policy and a specification, each given as an object, a path or (specifications) a shipped name."""
     if not isinstance(policy, Policy):
         policy = read_policy(os.fspath(policy))
@@ -114,8 +116,8 @@ def verify_radii(
     if not radii:
         raise UsageError("at least one perturbation radius is required")
     options = options or Options()
-    policy, specification = load(policy, specification)
-    loops = tuple(bind(specification, policy, plant, radius) for radius in radii)
+    network, contract = load(policy, specification)
+    loops = tuple(bind(contract, network, plant, radius) for radius in radii)
     deadline = deadline or Deadline.after(options.timeout)
     loaded = time.perf_counter()
     job = _Job(loops, options)
