@@ -22,7 +22,7 @@ from ..models.tape import Tape, run
 from . import balls, rounding
 from .balls import Ball, BallAlgebra
 from .quadratic_map import enclose_map
-from .series import flow_jets, map_jets
+from .series import flow_jets, map_jets, plan_of
 from .zonotope import Zonotope, append_rows, concatenate, linear_map
 
 Array = NDArray[np.float64]
@@ -32,11 +32,11 @@ PICARD_ITERATIONS = 16
 
 def derivative_bounds(tape: Tape, box: Ball) -> Ball:
     """Interval evaluation of a tape: box of shape (B, d) to (B, outputs)."""
-    values = run(tape, BallAlgebra(), [box[:, i] for i in range(box.mid.shape[1])])
-    shape = box.mid.shape[0]
-    mids = [np.broadcast_to(v.mid, (shape,)) for v in values]
-    rads = [np.broadcast_to(v.rad, (shape,)) for v in values]
-    return Ball(np.stack(mids, 1), np.stack(rads, 1))
+    values = run(tape, BallAlgebra(), [Ball(mid, rad) for mid, rad in zip(box.mid.T, box.rad.T, strict=True)])
+    result = np.empty((2, box.mid.shape[0], len(values)))
+    for i, value in enumerate(values):
+        result[0, :, i], result[1, :, i] = value.mid, value.rad
+    return Ball(result[0], result[1])
 
 
 def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray[np.bool_]]:
@@ -97,10 +97,18 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray
 
 def image_of(tape: Tape, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
     """Enclose the image of a zonotope under a tape (observation maps, discrete-time plants); see `enclose_map`."""
-    dimension = z.dimension
-    center = _cells_first(map_jets(tape, balls.exact(z.center), 1))
-    box = _cells_first(map_jets(tape, z.interval, 2))
-    return enclose_map(center[..., 0], center[..., 1:], box[..., 1 + dimension :], z, rows)
+    used = plan_of(tape).used
+    center = _cells_first(map_jets(tape, balls.exact(z.center), 1, used))
+    box = _cells_first(map_jets(tape, z.interval, 2, used))
+    jacobian = _spread_columns(center[..., 1:], used, z.dimension)
+    return enclose_map(center[..., 0], jacobian, box[..., 1 + used.size :], used, z, rows)
+
+
+def _spread_columns(jacobian: Ball, variables: NDArray[np.intp], dimension: int) -> Ball:
+    """A Jacobian by some variables as one by all of them, zero elsewhere."""
+    mid, rad = (np.zeros((*jacobian.mid.shape[:-1], dimension)) for _ in range(2))
+    mid[..., variables], rad[..., variables] = jacobian.mid, jacobian.rad
+    return Ball(mid, rad)
 
 
 def powers(time: Ball, terms: int) -> Ball:
@@ -200,8 +208,10 @@ class JetStep:
         States first, then what is constant over the step.
     duration : Fraction
     value, jacobian, hessian : Ball
-        Time coefficients 0 .. K - 1 of the flow: (K, B, n), (K, B, n, d) at the center, (K, B, n, d (d + 1)/2) over the
-        enclosing interval.
+        Time coefficients 0 .. K - 1 of the flow: (K, B, n), (K, B, n, d) at the center, (K, B, n, v (v + 1)/2) by the
+        `variables` over the enclosing interval.
+    variables : array of int, shape (v,)
+        Coordinates on which the vector field depends.
     remainder : Ball, shape (B, n)
         Time coefficient K over the a-priori box.
     end : Zonotope, shape (B, d)
@@ -219,6 +229,7 @@ class JetStep:
     value: Ball
     jacobian: Ball
     hessian: Ball
+    variables: NDArray[np.intp]
     remainder: Ball
     end: Zonotope
     added: Array
@@ -235,6 +246,7 @@ class JetStep:
             self.value[:, cells],
             self.jacobian[:, cells],
             self.hessian[:, cells],
+            self.variables,
             self.remainder[cells],
             self.end[cells],
             self.added[cells],
@@ -261,19 +273,21 @@ def _cells_first(jets: Ball) -> Ball:
     return Ball(np.swapaxes(jets.mid, -3, -2), np.swapaxes(jets.rad, -3, -2))
 
 
-STACKED_CELLS = 12
+STACKED_CELLS = 4
 """Up to so many cells, one evaluation of three stacked points is faster than three of the orders that are needed."""
 
 
-def _three_jets(tape: Tape, z: Zonotope, box: Ball, prior: Ball, order: int) -> tuple[Ball, Ball, Ball]:
+def _three_jets(
+    tape: Tape, z: Zonotope, box: Ball, prior: Ball, order: int, used: NDArray[np.intp]
+) -> tuple[Ball, Ball, Ball]:
     """Jets at the center (order 1), over the enclosing interval (order 2) and over the a-priori box (order 0)."""
     center = balls.exact(z.center)
     if z.batch > STACKED_CELLS:
-        jets = [flow_jets(tape, p, o, order + (o == 0)) for p, o in ((center, 1), (box, 2), (prior, 0))]
+        jets = [flow_jets(tape, p, o, order + (o == 0), used) for p, o in ((center, 1), (box, 2), (prior, 0))]
         return _cells_first(jets[0]), _cells_first(jets[1]), _cells_first(jets[2])
     points = (center, box, prior)
     stacked = Ball(np.concatenate([p.mid for p in points]), np.concatenate([p.rad for p in points]))
-    together = _cells_first(flow_jets(tape, stacked, 2, order + 1))
+    together = _cells_first(flow_jets(tape, stacked, 2, order + 1, used))
     count = z.batch
     return together[:, :count], together[:, count : 2 * count], together[:, 2 * count :]
 
@@ -300,14 +314,18 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
     box = z.interval
     prior, proved = a_priori_enclosure(tape, box, balls.rational(duration))
     with np.errstate(invalid="ignore", over="ignore"):
-        center, over_box, prior_jets = _three_jets(tape, z, box, prior, order)
+        plan = plan_of(tape)
+        used = plan.used
+        center, over_box, prior_jets = _three_jets(tape, z, box, prior, order, used)
         remainder = prior_jets[order, ..., 0]
         weights = step_weights(duration, order + 1)
-        value, jacobian = center[:order, ..., 0], center[:order, ..., 1 : 1 + dimension]
-        hessian = over_box[:order, ..., 1 + dimension :]
+        value = center[:order, ..., 0]
+        jacobian = _spread_columns(center[:order, ..., 1 : 1 + used.size], used, dimension)
+        jacobian.mid[0, :, plan.unused_states, plan.unused_states] = 1.0
+        hessian = over_box[:order, ..., 1 + used.size :]
         head = weights[:, :order]
         image, added = enclose_map(
-            combine(head, value)[0], combine(head, jacobian)[0], combine(head, hessian)[0], z, rows
+            combine(head, value)[0], combine(head, jacobian)[0], combine(head, hessian)[0], used, z, rows
         )
         rest = balls.multiply(remainder, weights[0, order])
         shifted = balls.add(Ball(image.center, np.zeros_like(image.center)), rest)
@@ -315,7 +333,8 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
         end = concatenate(image, z.coordinates(slice(states, dimension)))
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
     added = rounding.enlarged(added + rest.magnitude, 2)
-    return JetStep(z, duration, value, jacobian, hessian, remainder, end, added, rest.magnitude, proved & finite)
+    sound = proved & finite
+    return JetStep(z, duration, value, jacobian, hessian, used, remainder, end, added, rest.magnitude, sound)
 
 
 def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
@@ -332,7 +351,7 @@ def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
     extra = extra + 0.5 * delta * delta * largest(weights.second_derivative, step.value)
     drift = largest(weights.first_derivative, step.jacobian)
     extra = extra + delta * (drift @ spread[:, :, None])[..., 0]
-    extra = extra + _half_quadratic(largest(weights.last, step.hessian), spread)
+    extra = extra + _half_quadratic(largest(weights.last, step.hessian), spread[:, step.variables])
     extra = extra + step.remainder.magnitude * weights.remainder[:, None, None]
     extra = rounding.enlarged(extra, 4 * spread.shape[1] + 24)
     deviation = replace(start, center=np.zeros_like(start.center))

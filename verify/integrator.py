@@ -105,10 +105,10 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
     groups: list[StepGroup] = []
     results: list[tuple[Indices, Zonotope, Array, Bools]] = []
     following = level.copy()
-    pending = np.arange(joint.batch)
-    while pending.size:
+    pending = np.ones(joint.batch, dtype=bool)
+    while pending.any():
         current = int(level[pending].min())
-        cells = pending[level[pending] == current]
+        cells = np.flatnonzero(pending & (level == current))
         whole = cells.size == joint.batch
         steps, end, added, truncation, sound = _steps(
             take_step, joint if whole else joint[cells], period, 2**current, rows
@@ -127,7 +127,7 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
             easy = (truncation[chosen] <= 2.0**-options.taylor_order * allowed[chosen]).all(1)
             following[done] = np.maximum(current - easy, 0)
         level[cells[~final]] += 1
-        pending = np.setdiff1d(pending, cells[final], assume_unique=True)
+        pending[cells[final]] = False
     end, added, sound = _assemble(results, joint, states)
     return PeriodFlow(tuple(groups), end, added, sound, following)
 

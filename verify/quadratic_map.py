@@ -17,18 +17,28 @@ from .balls import Ball
 from .zonotope import Zonotope, linear_map, reduce_order
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@lru_cache(maxsize=64)
+def _pairs(count: int) -> tuple[Indices, Indices]:
+    """Pairs a <= b."""
+    first, second = np.triu_indices(count)
+    return first.astype(np.intp), second.astype(np.intp)
 
 
 @lru_cache(maxsize=64)
 def _full_index(dimension: int) -> NDArray[np.intp]:
     """Position of (i, j) in the packed upper triangle, shape (d, d)."""
-    rows, columns = np.triu_indices(dimension)
+    rows, columns = _pairs(dimension)
     index = np.zeros((dimension, dimension), dtype=np.intp)
     index[rows, columns] = index[columns, rows] = np.arange(rows.size)
     return index
 
 
-def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
+def enclose_map(
+    value: Ball, jacobian: Ball, hessian: Ball, variables: Indices, z: Zonotope, rows: int
+) -> tuple[Zonotope, Array]:
     """Enclose the image of a zonotope under a function known by its second-order expansion.
 
     Parameters
@@ -37,8 +47,10 @@ def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: i
         f at the center.
     jacobian : Ball, shape (B, n, d)
         Df at the center.
-    hessian : Ball, shape (B, n, d (d + 1)/2)
-        Upper triangle of the Hessian over the enclosing interval of z.
+    hessian : Ball, shape (B, n, v (v + 1)/2)
+        Upper triangle of the Hessian by the `variables`, over the enclosing interval of z.
+    variables : array of int, shape (v,)
+        Coordinates of z on which f does not depend linearly; the Hessian by the others is zero.
     z : Zonotope, shape (B, d)
     rows : int
         Products of two factors that become generators of the result; the other products are boxed.
@@ -53,13 +65,10 @@ def enclose_map(value: Ball, jacobian: Ball, hessian: Ball, z: Zonotope, rows: i
     image = linear_map(replace(z, center=np.zeros_like(z.center)), jacobian, value)
     added_rows = np.zeros((z.batch, rows, image.dimension))
     magnitude = np.abs(hessian.mid) + hessian.rad
-    if not magnitude.any():
-        return replace(image, generators=np.concatenate([image.generators, added_rows], 1)), np.zeros_like(image.center)
-    index = _full_index(z.dimension)
     outputs = np.flatnonzero(magnitude.any((0, 2)))
-    curved = np.asarray(magnitude[:, outputs].any((0, 1)))
-    variables = np.flatnonzero(curved[index].any(0))
-    index = index[np.ix_(variables, variables)]
+    if not outputs.size:
+        return replace(image, generators=np.concatenate([image.generators, added_rows], 1)), np.zeros_like(image.center)
+    index = _full_index(variables.size)
     full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
     shift, new, boxed = _quadratic_form(full, _largest_rows(z.coordinates(variables)), rows)
     center = image.center.copy()
@@ -98,7 +107,7 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     generators = z.generators
     count, dimension = generators.shape[1:]
     mapped = generators[:, None] @ hessian.mid @ np.swapaxes(generators, 1, 2)[:, None]
-    first, second = np.triu_indices(count)
+    first, second = _pairs(count)
     products = mapped[:, :, first, second]
     diagonal = first == second
     products[:, :, diagonal] *= 0.25

@@ -126,20 +126,18 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     root = xp.sqrt(1.0 - xp.where(usable, slope, xp.ones_like(slope)))
     place = xp.where(usable, xp.atanh(root), xp.full_like(root, 20.0))
     zero = xp.zeros_like(slope)
-    at_lower, at_upper = _residual(lower, slope, xp), _residual(upper, slope, xp)
-    low = xp.minimum(at_lower[0], at_upper[0])
-    high = xp.maximum(at_lower[1], at_upper[1])
+    ends = xp.stack([lower + zero, upper + zero])
+    below, above = _residual(ends, slope, xp)
+    low, high = xp.min(below, axis=0), xp.max(above, axis=0)
     straddles = (lower < 0) & (upper > 0)
     low = xp.where(straddles, xp.minimum(low, zero), low)
     high = xp.where(straddles, xp.maximum(high, zero), high)
-    # concave part, x in [max(l, 0), u]
-    start, stop = xp.maximum(lower, zero), xp.maximum(upper, zero)
-    p = xp.clip(place, start, stop)
-    high = xp.where(upper > 0, xp.maximum(high, _tangent_bound(p, slope, start, stop, xp)), high)
-    # convex part, x in [l, min(u, 0)], by symmetry
-    start, stop = xp.maximum(-upper, zero), xp.maximum(-lower, zero)
-    p = xp.clip(place, start, stop)
-    low = xp.where(lower < 0, xp.minimum(low, -_tangent_bound(p, slope, start, stop, xp)), low)
+    # concave part, x in [max(l, 0), u]; convex part, x in [l, min(u, 0)], by symmetry
+    start = xp.maximum(xp.stack([lower + zero, -upper + zero]), zero)
+    stop = xp.maximum(xp.stack([upper + zero, -lower + zero]), zero)
+    tangent = _tangent_bound(xp.clip(place, start, stop), slope, start, stop, xp)
+    high = xp.where(upper > 0, xp.maximum(high, tangent[0, ...]), high)
+    low = xp.where(lower < 0, xp.minimum(low, -tangent[1, ...]), low)
     return _from_bounds(xp, slope, low, high)
 
 

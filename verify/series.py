@@ -144,6 +144,11 @@ class Plan:
         In the order in which coefficient k is computed.
     outputs : array of int
         Position of each output.
+    used : array of int
+        Inputs that the tape reads at all. The flow of a vector field is the identity in the others (plus a motion that
+        does not depend on them), so nothing needs to be differentiated by them.
+    unused_states : array of int
+        States (inputs at the positions of outputs) that are not used.
     size : int
         Number of series.
     """
@@ -151,6 +156,8 @@ class Plan:
     inputs: int
     groups: tuple[Group, ...]
     outputs: Indices
+    used: Indices
+    unused_states: Indices
     size: int
 
 
@@ -192,7 +199,10 @@ def plan_of(tape: Tape) -> Plan:
             Group(key[1], start, start + len(members), operand(0), operand(1), lagged, signs, functions, values)
         )
     outs = np.array([position[i] for i in outputs], dtype=np.intp)
-    return Plan(len(inputs), tuple(groups), outs, len(nodes))
+    read = {i for node in nodes for i in node.operands} | set(outputs)
+    used = np.array(sorted(i for i in read if i < len(inputs)), dtype=np.intp)
+    unused = np.array([i for i in range(min(len(outputs), len(inputs))) if i not in read], dtype=np.intp)
+    return Plan(len(inputs), tuple(groups), outs, used, unused, len(nodes))
 
 
 class _Convolution:
@@ -252,17 +262,17 @@ class _Convolution:
 class _Evaluation:
     """Storage and recurrences of one evaluation of a plan."""
 
-    def __init__(self, plan: Plan, point: Ball, order: int, terms: int) -> None:
+    def __init__(self, plan: Plan, point: Ball, order: int, terms: int, variables: Indices | None) -> None:
         batch, dimension = point.mid.shape
+        by = np.arange(dimension) if variables is None else variables
         self.plan = plan
-        self.space = jet_space(order, dimension)
+        self.space = jet_space(order, by.size)
         self.data = np.zeros((2, terms, plan.size, batch, self.space.size))
         self.convolutions: dict[int, _Convolution] = {}
         self.terms = terms
-        for i in range(dimension):
-            self.data[0, 0, i, :, 0], self.data[1, 0, i, :, 0] = point.mid[:, i], point.rad[:, i]
-            if order >= 1:
-                self.data[0, 0, i, :, 1 + i] = 1.0
+        self.data[0, 0, :dimension, :, 0], self.data[1, 0, :dimension, :, 0] = point.mid.T, point.rad.T
+        if order >= 1:
+            self.data[0, 0, by, :, 1 + np.arange(by.size)] = 1.0
 
     def compute(self, k: int) -> None:
         """Coefficient k of every node but the inputs."""
@@ -349,7 +359,7 @@ class _Evaluation:
         return balls.negate(jet_product(self.space, self._operand(place, 0), convolution.sum(1, k)))
 
 
-def flow_jets(tape: Tape, point: Ball, order: int, terms: int) -> Ball:
+def flow_jets(tape: Tape, point: Ball, order: int, terms: int, variables: Indices | None = None) -> Ball:
     """Jets of the time-Taylor coefficients of the flow: z_[k+1] = f(z)_[k] / (k + 1).
 
     Parameters
@@ -362,13 +372,15 @@ def flow_jets(tape: Tape, point: Ball, order: int, terms: int) -> Ball:
         Order of the jets in the start values, 0 to 2.
     terms : int
         Number of time coefficients.
+    variables : array of int, optional
+        Inputs by which the jets differentiate; all by default.
 
     Returns
     -------
     Ball, shape (terms, n, B, C)
     """
     states = len(tape.outputs)
-    evaluation = _Evaluation(plan_of(tape), point, order, terms)
+    evaluation = _Evaluation(plan_of(tape), point, order, terms, variables)
     for k in range(terms):
         if k:
             evaluation.integrate(states, k)
@@ -377,9 +389,9 @@ def flow_jets(tape: Tape, point: Ball, order: int, terms: int) -> Ball:
     return Ball(evaluation.data[0, :, :states], evaluation.data[1, :, :states])
 
 
-def map_jets(tape: Tape, point: Ball, order: int) -> Ball:
-    """Jets of a tape's outputs (no time): point (B, d) to shape (outputs, B, C)."""
+def map_jets(tape: Tape, point: Ball, order: int, variables: Indices | None = None) -> Ball:
+    """Jets of a tape's outputs (no time): point (B, d) to shape (outputs, B, C); see `flow_jets`."""
     plan = plan_of(tape)
-    evaluation = _Evaluation(plan, point, order, 1)
+    evaluation = _Evaluation(plan, point, order, 1, variables)
     evaluation.compute(0)
     return Ball(evaluation.data[0, 0, plan.outputs], evaluation.data[1, 0, plan.outputs])

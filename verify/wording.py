@@ -34,8 +34,9 @@ def _short(value: float, digits: int, rounding: str) -> str:
 
 
 def quantity(count: int, noun: str) -> str:
-    """``1 cell``, ``2 cells``."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    """``1 cell``, ``2 cells``, ``2 trajectories``."""
+    many = f"{noun[:-1]}ies" if noun.endswith("y") else f"{noun}s"
+    return f"{count} {noun if count == 1 else many}"
 
 
 def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
