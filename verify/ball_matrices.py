@@ -45,10 +45,10 @@ def absolute_product(a: Array, b: Array) -> Array:
 
 
 def exponential_coefficients(rate: Array, first: Array, order: int) -> Ball:
-    """Time coefficients ``M_k = A^(k-1) G / k!``, k = 1 .. K, of the solution operator of ``x' = A x + G q``, q constant.
+    """Time coefficients ``M_k = A^(k-1) G / k!``, k = 1 .. K, of the solution of ``x' = A x + G q``, q constant.
 
-    With x(0) = 0 that solution is ``(sum_(k>=1) t^k M_k) q``. G = [A, I] makes ``[e^(A t) - I, int_0^t e^(A s) ds]`` of
-    it, so that one recurrence yields the exponential and its integral.
+    With x(0) = 0 that solution is ``(sum_(k>=1) t^k M_k) q``. G = [A, I] makes ``[e^(A t) - I, int_0^t e^(A s) ds]``
+    of it, so that one recurrence yields the exponential and its integral.
 
     Parameters
     ----------
@@ -81,9 +81,9 @@ def exponential_tail(rate: Array, last: Array, order: int) -> Array:
         sum_(j>=1) K!/(K+j)! N^j p  <=  y,   where  y = N p/(K+1) + N y/(K+2),
 
     since (K+1) ... (K+j) >= (K+1) (K+2)^(j-1). For any s > 0 with ``N s <= rho (K+2) s`` and rho < 1,
-    ``y <= max_i (u_i/s_i) / (1 - rho) s`` with u = N p/(K+1) [1]_; and every upper bound of y put into the right-hand side
-    is one again, so a few of those sharpen it per component. The smallest rho is attained at a Perron vector of N: that
-    makes the bound independent of the units of the states.
+    ``y <= max_i (u_i/s_i) / (1 - rho) s`` with u = N p/(K+1); the classic bound [1]_ has s = (1, ..., 1). A Perron
+    vector of N has the smallest rho and follows the units of the states. Every upper bound of y put into the right-hand
+    side is one again: that sharpens it per component.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def exponential_tail(rate: Array, last: Array, order: int) -> Array:
 
     References
     ----------
-    .. [1] M. Althoff, O. Stursberg, M. Buss, "Reachability analysis of nonlinear systems with uncertain parameters using
-       conservative linearization", CDC 2008, eq. (6); there with the norm of A for N and s = (1, ..., 1).
+    .. [1] M. Althoff, O. Stursberg, M. Buss, "Reachability analysis of nonlinear systems with uncertain parameters
+       using conservative linearization", CDC 2008, section III.
     """
     vector = np.ones_like(last)[..., None]
     for _ in range(PERRON_ITERATIONS):
@@ -117,4 +117,4 @@ def exponential_tail(rate: Array, last: Array, order: int) -> Array:
     for _ in range(TAIL_REFINEMENTS):
         again = rounding.enlarged(start + absolute_product(rate, bound) / float(order + 2), 3)
         bound = np.where(valid, np.minimum(bound, again), np.inf)
-    return bound[..., 0]  # type: ignore[no-any-return]
+    return bound[..., 0]

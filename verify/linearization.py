@@ -4,13 +4,14 @@ With e = z - z*, z* a point near the middle of the step, and B an a-priori enclo
 
     f(z) in f(z*) + J e + L,    L = 1/2 e' H e for e in B - z*, H the interval Hessian over B and z* [1]_.
 
-L is a box that is constant in time. Its center joins the constant input f(z*), its half-width is an arbitrary bounded
-input w(t), and the trajectory of ``x' = A x + G q`` is known in closed form:
+L is a box that is constant in time. Its center joins the constant input f(z*), its half-width bounds an arbitrary input
+w(t), and the trajectories are known in closed form:
 
-    x(t) in x(0) + (sum_(k>=1) t^k A^(k-1) G/k!) q + int_0^t e^(A (t-s)) w(s) ds,    G = [J, I],  q = (e(0), f(z*) + mid L)
+    x(t) in x(0) + (sum_(k>=1) t^k A^(k-1) G/k!) q + int_0^t e^(A (t-s)) w(s) ds,
+    G = [J, I],  q = (e(0), f(z*) + mid L),
 
-where A is the states' part of J. The last term lies in ``+-(sum_(k>=1) t^k |A^(k-1)|/k!) rad L``. What the truncated series
-leave out is bounded by `ball_matrices.exponential_tail`.
+where A is the states' part of J. The last term lies in ``+-(sum_(k>=1) t^k |A^(k-1)|/k!) rad L``. What the truncated
+series leave out is bounded by `ball_matrices.exponential_tail`.
 
 References
 ----------
@@ -72,8 +73,8 @@ class LinearStep:
         Estimate (not a bound) of the part that shorter steps would diminish: the tail, and the remainder without the
         share that the start set alone causes.
     sound : array of bool, shape (B,)
-        Whether the a-priori enclosure was proved, the tail is bounded and everything is finite; elsewhere the step means
-        nothing.
+        Whether the a-priori enclosure was proved, the tail is bounded and everything is finite; elsewhere the step
+        means nothing.
     """
 
     start: Zonotope
@@ -107,9 +108,9 @@ class LinearStep:
     def time_intervals(self, slabs: int) -> list[Zonotope]:
         """Sets that contain the states at every time of each of `slabs` equal parts of the step.
 
-        Around the middle t_m of a part, with |tau| <= delta, x the polynomial part of the linearised solution from c + d:
-        x(t_m + tau) = x(t_m) + x'(t_m) tau +- delta^2/2 |x''|, time as one more generator of the part from c;
-        ``|x'(t_m) d| <= |DP'(t_m)| a`` for the rest, and |x''|, the remainder and the tail at the part's end.
+        Around the middle t_m of a part, with |tau| <= delta, x the polynomial part of the linearised solution:
+        ``x(t_m + tau) in x(t_m) + x'(t_m) tau +- delta^2/2 |x''|``. Time is one more generator for the velocity of the
+        center; that of a deviation d is bounded by ``|Dx'(t_m)| a``; |x''|, remainder and tail at the part's end.
         """
         if slabs not in self.slabs:
             self.slabs[slabs] = _slabs(self, slabs)
@@ -133,13 +134,14 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> Line
     LinearStep
     """
     states, dimension = len(tape.outputs), z.dimension
-    prior, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration))
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        prior, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration))
+        prior = tightened(tape, z.interval, prior, duration)
         point = expansion_point(tape, z.center, duration)
         domain = hessian_domain(prior, point)
         deviation = balls.subtract(domain, balls.exact(point))
         value, jacobian = _first_order(tape, point)
-        hessian = _hessian(tape, domain)
+        hessian = hessian_bounds(tape, domain)
         drift = balls.add(value, lagrange_remainder(hessian, deviation))
         # J itself is only known as a ball: the linear system is the one with its midpoint, the rest is input
         unknown = absolute_product(jacobian.rad, deviation.magnitude[:, :, None])[..., 0]
@@ -162,6 +164,22 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> Line
     return LinearStep(z, duration, series.value, series.jacobian, drive, tail, end, added, truncation, proved & finite)
 
 
+def tightened(tape: Tape, box: Ball, prior: Ball, duration: Fraction) -> Ball:
+    """``box(X) + [0, h] f(B)`` within B: if B contains every trajectory, so does this.
+
+    Picard iteration inflates its guesses until one fits; the remainder is quadratic in the size of what fitted.
+    """
+    states = len(tape.outputs)
+    rate = derivative_bounds(tape, prior)
+    longest = rounding.float_above(duration)
+    down = rounding.down(np.minimum(rounding.down(longest * rate.lower), 0.0))
+    up = rounding.up(np.maximum(rounding.up(longest * rate.upper), 0.0))
+    low, high = prior.lower.copy(), prior.upper.copy()
+    low[:, :states] = np.maximum(low[:, :states], rounding.down(box.lower[:, :states] + down))
+    high[:, :states] = np.minimum(high[:, :states], rounding.up(box.upper[:, :states] + up))
+    return balls.hull(low, high)
+
+
 def expansion_point(tape: Tape, center: Array, duration: Fraction) -> Array:
     """``c + h/2 f(c)`` in the states, c in the rest, shape (B, d): near the middle of the step. Any point is sound."""
     states = len(tape.outputs)
@@ -171,7 +189,7 @@ def expansion_point(tape: Tape, center: Array, duration: Fraction) -> Array:
 
 
 def hessian_domain(prior: Ball, point: Array) -> Ball:
-    """The box that contains every segment from the expansion point to a trajectory: Taylor's theorem needs all of it."""
+    """The box that contains every segment from the expansion point to a trajectory; Taylor's theorem needs them."""
     return balls.hull(np.minimum(prior.lower, point), np.maximum(prior.upper, point))
 
 
@@ -242,7 +260,7 @@ def _first_order(tape: Tape, point: Array) -> tuple[Ball, Ball]:
     return jets[..., 0], jets[..., 1:]
 
 
-def _hessian(tape: Tape, box: Ball) -> Ball:
+def hessian_bounds(tape: Tape, box: Ball) -> Ball:
     """Upper triangles of the Hessians over a box, shape (B, n, d (d + 1)/2)."""
     jets = map_jets(tape, box, 2)
     first = 1 + box.mid.shape[1]
