@@ -12,16 +12,24 @@ if TYPE_CHECKING:
     from .models.plant import load_plant as load_plant
     from .specs.errors import SetrlError as SetrlError
     from .specs.reader import read_specification as read_specification
+    from .verify.options import Options as Options
+    from .verify.result import Result as Result
+    from .verify.result import Verdict as Verdict
+    from .verify.verifier import verify_radii as verify_radii
 
 __version__ = "0.1.0"
 
 # Public name -> the module that has it. Strings, so that neither Python nor
 # the import contracts see an import here: the rooms below may read `__version__` without depending on the rooms above.
 _PUBLIC = {
+    "Options": "verify.options",
+    "Result": "verify.result",
     "SetrlError": "specs.errors",
+    "Verdict": "verify.result",
     "load_plant": "models.plant",
     "read_policy": "models.onnx_reader",
     "read_specification": "specs.reader",
+    "verify_radii": "verify.verifier",
 }
 _ROOMS = ("models", "specs", "train", "verify")
 

@@ -9,9 +9,8 @@ because typer's panels would load most of rich and take as long again as everyth
 
 from __future__ import annotations
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -23,7 +22,8 @@ from . import __version__
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from .verify.deadline import Deadline
+    from .models.closed_loop import ClosedLoop
+    from .models.simulation import Trajectories
     from .verify.options import Options
 
 PLACEHOLDER = True
@@ -132,9 +132,10 @@ def verify_command(
     _require_outputs(plot=plot)
     network, specification = _inputs(policy, spec, quiet)
     from .verify import report
+    from .verify.interruption import interruptible, progress_bar
     from .verify.verifier import verify
 
-    with _working(options, quiet) as (deadline, progress):
+    with interruptible(options.timeout) as deadline, progress_bar(not quiet) as progress:
         result = verify(network, specification, options=options, epsilon=radius, deadline=deadline, progress=progress)
     if as_json:
         _print_json(report.result_to_json(result, options))
@@ -174,17 +175,18 @@ def sweep(
     options = _options(timeout, splits, method, taylor_order, generators)
     _require_outputs(plot=plot, csv=csv)
     network, specification = _inputs(policy, spec, quiet)
-    from .verify import report
+    from .verify import tables
+    from .verify.interruption import interruptible, progress_bar
     from .verify.verifier import verify_radii
 
-    with _working(options, quiet) as (deadline, progress):
+    with interruptible(options.timeout) as deadline, progress_bar(not quiet) as progress:
         results = verify_radii(network, specification, radii, options=options, deadline=deadline, progress=progress)
     if as_json:
-        _print_json({"format": report.SWEEP_FORMAT, "results": [report.result_to_json(r, options) for r in results]})
+        _print_json(tables.sweep_to_json(radii, results))
     else:
-        _say(*report.sweep_table(radii, results))
+        _say(*tables.sweep_table(radii, results))
     if csv is not None:
-        _write(csv, report.sweep_csv(radii, results), quiet)
+        _write(csv, tables.sweep_csv(radii, results), quiet)
     if plot is not None:
         from .verify.plot import plot_sweep
 
@@ -217,22 +219,42 @@ def simulate(
     radius = _radius(epsilon)
     _require_outputs(plot=plot, csv=csv)
     network, specification = _inputs(policy, spec, quiet)
-    from .verify import rollouts as simulation
+    from .verify import tables
 
-    loop = simulation.closed_loop(network, specification, radius)
-    outcome = simulation.roll_out(loop, rollouts, seed, attack.value)
+    loop, trajectories, summary = _simulated(network, specification, radius, rollouts, seed, attack)
     if as_json:
-        _print_json(simulation.summary(loop, outcome))
+        _print_json(summary)
     else:
-        _say(*simulation.summary_lines(loop, outcome))
+        _say(*tables.simulation_table(summary))
     if csv is not None:
-        _write(csv, simulation.trajectories_csv(loop, outcome), quiet)
+        _write(csv, tables.trajectories_csv(loop, trajectories), quiet)
     if plot is not None:
         from .verify.plot import plot_trajectories
 
-        plot_trajectories(loop, outcome, str(plot))
+        plot_trajectories(loop, trajectories, str(plot))
         _wrote(plot, quiet)
     return OK
+
+
+def _simulated(
+    policy: str, spec: str, radius: Fraction | None, rollouts: int, seed: int, attack: Attack
+) -> tuple[ClosedLoop, Trajectories, dict[str, Any]]:
+    import numpy as np
+
+    from .models.binding import bind
+    from .models.rollouts import roll_out
+    from .models.simulation import returns
+    from .verify.falsifier import violations
+    from .verify.tables import simulation_to_json
+    from .verify.verifier import load
+
+    network, specification = load(policy, spec)
+    loop = bind(specification, network, None, radius)
+    run = roll_out(loop, rollouts, attack.value, np.random.default_rng(seed))
+    period, samples = float(loop.period), run.samples_per_period
+    amounts = {entry.name: violations(entry, run.times, run.states, samples, period)[0] for entry in loop.requirements}
+    total = None if loop.reward is None else returns(loop, run)
+    return loop, run, simulation_to_json(loop, run, total, amounts)
 
 
 @app.command()
@@ -263,7 +285,7 @@ def inspect(
 ) -> int:
     """List a policy's operators, layers and sizes, and everything in it that is not supported."""
     from .models.onnx_reader import describe_policy, read_policy
-    from .models.policy_report import policy_lines
+    from .verify.report import policy_lines
 
     description = describe_policy(policy)
     if as_json:
@@ -330,27 +352,23 @@ def _options(
     return Options(**chosen)
 
 
-def _radius(text: str | None) -> Fraction | None:
-    from .specs.errors import InputError, UsageError
-    from .specs.exact import exact_decimal
-
-    try:
-        radius = None if text is None else exact_decimal(text)
-    except InputError as error:
-        raise error.at("--epsilon") from error
-    if radius is not None and radius < 0:
-        raise UsageError(f"a radius is not negative, received {text}", where="--epsilon", remedy="use 0 or more")
-    return radius
-
-
-def _radii(text: str) -> tuple[Fraction, ...]:
+def _radii(text: str | None) -> tuple[Fraction, ...]:
     from .specs.errors import InputError
     from .specs.exact import decimal_range
 
     try:
-        return decimal_range(text)
+        return () if text is None else decimal_range(text)
     except InputError as error:
         raise error.at("--epsilon") from error
+
+
+def _radius(text: str | None) -> Fraction | None:
+    from .specs.errors import UsageError
+
+    radii = _radii(text)
+    if len(radii) > 1:
+        raise UsageError(f"one radius is required, received {text}", where="--epsilon", remedy="use setrl sweep")
+    return radii[0] if radii else None
 
 
 def _inputs(policy: Path | None, spec: str | None, quiet: bool) -> tuple[str, str]:
@@ -389,54 +407,6 @@ def _require_outputs(*, plot: Path | None = None, csv: Path | None = None) -> No
         from .specs.files import require_suffix
 
         require_suffix(plot, (".png", ".pdf", ".svg"))
-
-
-@contextlib.contextmanager
-def _working(options: Options, quiet: bool) -> Iterator[tuple[Deadline, Callable[[Any], None] | None]]:
-    """A deadline that Ctrl-C ends, so that what was found is still printed, and progress where somebody watches."""
-    import signal
-    import threading
-
-    from .verify.deadline import Deadline
-
-    deadline = Deadline.after(options.timeout)
-
-    def interrupt(*_: Any) -> None:
-        if deadline.interrupted:
-            raise KeyboardInterrupt
-        deadline.interrupted = True
-        sys.stderr.write("\nstopping; once more aborts without a result\n")
-
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with _progress(not quiet and sys.stderr.isatty()) as progress:
-            yield deadline, progress
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def _progress(shown: bool) -> Iterator[Callable[[Any], None] | None]:
-    if not shown:
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    from .verify.report import search_progress
-
-    columns = (BarColumn(), TextColumn("{task.percentage:>5.1f} %"), TextColumn("{task.description}"))
-    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("first cell", total=1.0)
-
-        def update(found: Any) -> None:
-            share, text = search_progress(found)
-            bar.update(task, completed=share, description=text)
-
-        yield update
 
 
 def _say(*lines: str) -> None:
@@ -510,7 +480,7 @@ def _failure(error: Exception) -> int:
 
     traceback.print_exception(error, file=sys.stderr)
     _tell(
-        f"setrl: internal error: {type(error).__name__}: {_one_line(error)} (nothing was proved; please report this "
+        f"setrl: internal error: {type(error).__name__}: {_one_line(error)} (please report this "
         "with the policy, the specification and the output of `setrl doctor`)"
     )
     return INTERNAL

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 FORMAT = "setrl-result/1"
 """Name of the layout that `result_to_json` writes; it changes when a key changes its meaning or goes."""
 
-SWEEP_FORMAT = "setrl-sweep/1"
 _LABEL = 13
 
 
@@ -146,7 +145,7 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
     from .. import __version__
 
     loop = result.loop
-    return _finite(
+    data = json_data(
         {
             "format": FORMAT,
             "setrl": __version__,
@@ -173,6 +172,7 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
             "timings": dict(result.timings),
         }
     )
+    return dict(data)
 
 
 def _reason_data(reason: Reason) -> dict[str, Any]:
@@ -212,49 +212,31 @@ def _hull(bounds: NDArray[np.float64]) -> dict[str, Any]:
     return {"lower": bounds[:, :, 0].min(axis=0).tolist(), "upper": bounds[:, :, 1].max(axis=0).tolist()}
 
 
-def _finite(data: Any) -> Any:
-    """Plain data without NaN and infinities, which JSON has not."""
+def json_data(data: Any) -> Any:
+    """Plain data without NaN and infinities, which JSON has not: they become null."""
     if isinstance(data, float):
         return data if math.isfinite(data) else None
     if isinstance(data, dict):
-        return {key: _finite(entry) for key, entry in data.items()}
+        return {key: json_data(entry) for key, entry in data.items()}
     if isinstance(data, list | tuple):
-        return [_finite(entry) for entry in data]
+        return [json_data(entry) for entry in data]
     return data
 
 
-def sweep_table(radii: Sequence[str], results: Sequence[Result]) -> list[str]:
-    """One row per perturbation radius."""
-    names = [entry.name for entry in results[0].requirements]
-    rows = [("epsilon", "verdict", "V(s0)", "V(s0) undiscounted", *(f"margin {name}" for name in names))]
-    for radius, result in zip(radii, results, strict=True):
-        value = result.value
-        bounds = ("-", "-") if value is None else (at_least(value.discounted), at_least(value.undiscounted))
-        margins = [margin_text(entry.margin) for entry in result.requirements]
-        rows.append((radius, result.verdict.value, *bounds, *margins))
-    return table(rows)
-
-
-def sweep_csv(radii: Sequence[str], results: Sequence[Result]) -> str:
-    """The same as comma-separated values with all digits; ``-inf`` is no bound."""
-    names = [entry.name for entry in results[0].requirements]
-    rows: list[list[Any]] = [["epsilon", "verdict", "value_discounted", "value_undiscounted"]]
-    rows[0] += [f"margin_{name}" for name in names]
-    for radius, result in zip(radii, results, strict=True):
-        value = result.value
-        bounds = ["", ""] if value is None else [value.discounted, value.undiscounted]
-        rows.append([radius, result.verdict.value, *bounds, *(entry.margin for entry in result.requirements)])
-    return comma_separated(rows)
-
-
-def comma_separated(rows: Sequence[Sequence[Any]]) -> str:
-    """Rows as CSV; numbers with all digits."""
-    import csv
-    import io
-
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    return buffer.getvalue()
+def policy_lines(description: Mapping[str, Any]) -> list[str]:
+    """What `models.onnx_reader.describe_policy` found, for people."""
+    operators = ", ".join(f"{name} x{count}" if count > 1 else name for name, count in description["operators"].items())
+    outputs = "unknown" if description["outputs"] is None else description["outputs"]
+    rows = [
+        ("file", f"{description['name']}, {description['bytes']} bytes, sha256 {description['digest']}"),
+        ("format", f"opset {description['opset']}, {description['precision']}, {description['batch']} batch"),
+        ("size", f"{description['inputs']} inputs, {outputs} outputs, {description['parameters']} parameters"),
+        ("operators", operators),
+        *(("layer" if position else "layers", layer) for position, layer in enumerate(description["layers"])),
+        *(("problem", problem) for problem in description["problems"]),
+        ("supported", "yes" if description["supported"] else "no"),
+    ]
+    return table([("" if label == "layer" else label, text) for label, text in rows])
 
 
 def decided_share(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> float:
