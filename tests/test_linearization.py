@@ -372,7 +372,7 @@ _bounds, _weights = linearization.hessian_bounds, linearization.time_weights
         ("lagrange_remainder", no_remainder, load_plant("pendulum"), example_set("pendulum", 0.2), ORDER),
         ("hessian_bounds", hessian_at_the_center, custom_plant(x="x**3"), box_set([0.0], 0.8), ORDER),
         ("hessian_domain", deviation_of_the_start_set_only, custom_plant(x="x**2"), box_set([1.5], 0.1), ORDER),
-        ("tightened", start_box_only, custom_plant(x="x**2"), box_set([1.5], 0.01), ORDER),
+        ("tightened", start_box_only, custom_plant(x="x**2"), box_set([0.0], 0.8), ORDER),
         ("exponential_tail", no_tail, custom_plant(x="-5*x"), box_set([1.0], 0.1), 2),
         ("exponential_tail", no_tail, custom_plant(x="y", y="-25*x"), box_set([1.0, 0.0], 0.1), 3),
         ("time_weights", no_bend, load_plant("quadrotor1d"), example_set("quadrotor1d", 0.02), ORDER),
