@@ -6,7 +6,7 @@ that prove something must be true comparisons, so they never hold for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -71,6 +71,11 @@ def rational_matrix(rows: Iterable[Iterable[Fraction]]) -> Ball:
 def hull(low: Array, high: Array) -> Ball:
     """Smallest ball known to contain ``[low, high]``."""
     return Ball(*rounding.center_radius(low, high))
+
+
+def concatenate(parts: Sequence[Ball], axis: int) -> Ball:
+    """Join arrays along an axis."""
+    return Ball(np.concatenate([p.mid for p in parts], axis), np.concatenate([p.rad for p in parts], axis))
 
 
 def add(a: Ball, b: Ball) -> Ball:

@@ -10,6 +10,7 @@ where B is an a-priori enclosure of all trajectories over the step: box(X) + [0,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -23,7 +24,7 @@ from . import balls, rounding
 from .balls import Ball, BallAlgebra
 from .quadratic_map import enclose_map
 from .series import flow_jets, map_jets, plan_of
-from .zonotope import Zonotope, append_rows, concatenate, linear_map
+from .zonotope import Zonotope, append_rows, concatenate, linear_map, stack_cells
 
 Array = NDArray[np.float64]
 
@@ -252,6 +253,24 @@ class JetStep:
             self.added[cells],
             self.truncation[cells],
             self.sound[cells],
+        )
+
+    @classmethod
+    def join(cls, steps: Sequence[JetStep]) -> JetStep:
+        """Steps of equal duration as one batch, cells one after the other."""
+        first = steps[0]
+        return cls(
+            stack_cells([step.start for step in steps]),
+            first.duration,
+            balls.concatenate([step.value for step in steps], 1),
+            balls.concatenate([step.jacobian for step in steps], 1),
+            balls.concatenate([step.hessian for step in steps], 1),
+            first.variables,
+            balls.concatenate([step.remainder for step in steps], 0),
+            stack_cells([step.end for step in steps]),
+            np.concatenate([step.added for step in steps]),
+            np.concatenate([step.truncation for step in steps]),
+            np.concatenate([step.sound for step in steps]),
         )
 
     def time_intervals(self, slabs: int) -> list[Zonotope]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Protocol
@@ -39,6 +39,8 @@ class Step(Protocol):
     @property
     def sound(self) -> Bools: ...
     def select(self, cells: Any) -> Step: ...
+    @classmethod
+    def join(cls, steps: Sequence[Any]) -> Any: ...
     def time_intervals(self, slabs: int) -> list[Zonotope]: ...
 
 

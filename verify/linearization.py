@@ -22,6 +22,7 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -36,7 +37,7 @@ from .ball_matrices import absolute_product, exponential_coefficients, exponenti
 from .balls import Ball
 from .flow import a_priori_enclosure, derivative_bounds
 from .series import map_jets
-from .zonotope import Zonotope, append_rows, concatenate, diagonal_rows, linear_map
+from .zonotope import Zonotope, append_rows, concatenate, diagonal_rows, linear_map, stack_cells
 
 Array = NDArray[np.float64]
 
@@ -103,6 +104,22 @@ class LinearStep:
             self.added[cells],
             self.truncation[cells],
             self.sound[cells],
+        )
+
+    @classmethod
+    def join(cls, steps: Sequence[LinearStep]) -> LinearStep:
+        """Steps of equal duration as one batch, cells one after the other."""
+        return cls(
+            stack_cells([step.start for step in steps]),
+            steps[0].duration,
+            balls.concatenate([step.value for step in steps], 0),
+            balls.concatenate([step.jacobian for step in steps], 0),
+            np.concatenate([step.drive for step in steps]),
+            np.concatenate([step.tail for step in steps]),
+            stack_cells([step.end for step in steps]),
+            np.concatenate([step.added for step in steps]),
+            np.concatenate([step.truncation for step in steps]),
+            np.concatenate([step.sound for step in steps]),
         )
 
     def time_intervals(self, slabs: int) -> list[Zonotope]:

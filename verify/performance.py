@@ -88,46 +88,38 @@ def worst_cost(z: Zonotope, weights: Ball, target: Ball) -> Array:
 
 @dataclass
 class Performance:
-    """Accumulates V(s0) per cell, with the specification's discount and without.
+    """Costs of every period of every cell, and what they add up to: V(s0).
 
     Attributes
     ----------
-    cost, undiscounted : array, shape (cells,)
-        Upper bound of the (discounted) cost so far; inf where a period has no enclosure.
-    periods : array of int, shape (cells,)
-        How many periods were counted.
+    reward : RewardModel
+    costs : array, shape (cells, T)
+        Upper bounds of the periods' costs, penalties included; inf where no enclosure was seen.
     """
 
     reward: RewardModel
-    cost: Array
-    undiscounted: Array
-    periods: NDArray[np.intp]
-    factor: Ball
+    costs: Array
 
     @classmethod
-    def create(cls, reward: BoundReward, cells: int) -> Performance:
-        """Nothing counted yet."""
-        zero = np.zeros(cells)
-        return cls(RewardModel.prepare(reward), zero, zero.copy(), np.zeros(cells, dtype=np.intp), balls.exact(1.0))
+    def create(cls, reward: BoundReward, cells: int, periods: int) -> Performance:
+        """Nothing seen yet."""
+        return cls(RewardModel.prepare(reward), np.full((cells, periods), np.inf))
 
-    def observe(self, index: NDArray[np.intp], end: Zonotope) -> None:
-        """Charge one period, given the sets at its end."""
+    def observe(self, index: NDArray[np.intp], numbers: NDArray[np.intp], end: Zonotope) -> None:
+        """Charge periods, given the sets at their ends."""
         reward = self.reward
         cost = worst_cost(end, reward.weights, reward.target)
-        if reward.region and reward.penalty.upper > 0.0:
+        if reward.region:
             clear = np.all([mixed_separation(end, member) > 0.0 for member in reward.region], axis=0)
             cost = np.where(clear, cost, rounding.up(cost + float(reward.penalty.upper)))
-        cost = np.where(np.isfinite(cost), cost, np.inf)
-        discounted = rounding.up(float(self.factor.upper) * cost)
-        self.cost[index] = rounding.up(self.cost[index] + discounted)
-        self.undiscounted[index] = rounding.up(self.undiscounted[index] + cost)
-        self.periods[index] += 1
+        self.costs[index, numbers] = np.where(np.isfinite(cost), cost, np.inf)
 
-    def advance(self) -> None:
-        """Go to the next period: one more factor of the discount."""
-        self.factor = balls.multiply(self.factor, self.reward.discount)
-
-    def value(self, periods: int) -> tuple[Array, Array]:
-        """V(s0) per cell, discounted and not; -inf where not every period was counted."""
-        complete = self.periods == periods
-        return np.where(complete, -self.cost, -np.inf), np.where(complete, -self.undiscounted, -np.inf)
+    def value(self) -> tuple[Array, Array]:
+        """V(s0) per cell, discounted and not, shape (cells,); -inf where a period is missing."""
+        periods = self.costs.shape[1]
+        factor, weights = balls.exact(1.0), []
+        for _ in range(periods):
+            weights.append(float(factor.upper))
+            factor = balls.multiply(factor, self.reward.discount)
+        discounted = rounding.enlarged((self.costs * np.array(weights)).sum(1), periods + 2)
+        return -discounted, -rounding.enlarged(self.costs.sum(1), periods)

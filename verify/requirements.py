@@ -7,6 +7,7 @@ time-point set is contained in one member.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -14,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.closed_loop import BoundRequirement
-from .closed_loop import Period
 from .integrator import Step
 from .options import Options
 from .separation import (
@@ -25,7 +25,7 @@ from .separation import (
     prepare_polytope,
     program_separation,
 )
-from .zonotope import Zonotope
+from .zonotope import Zonotope, stack_cells
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -34,7 +34,7 @@ Indices = NDArray[np.intp]
 
 @dataclass
 class Monitor:
-    """Margins of one requirement for all cells of a caller.
+    """Margins of one requirement for a batch of cells.
 
     Attributes
     ----------
@@ -45,8 +45,10 @@ class Monitor:
         Seconds at which it occurred; NaN before the window.
     failed : array of bool, shape (cells,)
         The requirement cannot be proved for this cell any more.
+    failed_at : array, shape (cells,)
+        Seconds of the first set without a proof; NaN where there is none.
     failing : dict of int to Zonotope
-        The first set, of one cell, for which the proof failed: where to look for a witness and how to split.
+        That set, of one cell: where to look for a witness and how to split.
     """
 
     requirement: BoundRequirement
@@ -55,20 +57,24 @@ class Monitor:
     margin: Array
     time: Array
     failed: Bools
+    failed_at: Array
     failing: dict[int, Zonotope]
+    discrete: bool = False
+    """The plant has time points only."""
 
     @classmethod
-    def create(cls, requirement: BoundRequirement, cells: int, options: Options) -> Monitor:
+    def create(cls, requirement: BoundRequirement, cells: int, options: Options, discrete: bool = False) -> Monitor:
         """A monitor that has seen nothing."""
-        start = -np.inf if requirement.kind == "reach" else np.inf
         return cls(
             requirement,
             tuple(prepare_polytope(member) for member in requirement.region),
             options,
-            np.full(cells, start),
+            np.full(cells, -np.inf if requirement.kind == "reach" else np.inf),
             np.full(cells, np.nan),
             np.zeros(cells, dtype=bool),
+            np.full(cells, np.nan),
             {},
+            discrete,
         )
 
     @property
@@ -76,155 +82,128 @@ class Monitor:
         """Cells whose margin is a proof; complete only when the horizon's end was seen."""
         return (self.margin > 0.0) & np.isfinite(self.margin) & ~self.failed
 
-    def observe_start(self, index: Indices, start: Zonotope, discrete: bool) -> None:
-        """Look at the initial set (time 0), unless the first time-interval set contains it anyway."""
+    @property
+    def _by_points(self) -> bool:
+        """Whether time-point sets decide; else time-interval sets do."""
         window = self.requirement
-        if window.start == 0 and (window.kind == "reach" or window.end == 0 or discrete):
-            self._record(index, self._points(start), 0.0, start)
+        return self.discrete or window.kind == "reach" or window.start == window.end
 
-    def observe(self, period: Period, length: Fraction) -> None:
-        """Look at one control period: its time-interval sets and the set at its end."""
+    def observe_start(self, start: Zonotope) -> None:
+        """Look at the initial sets of all cells (time 0), unless the first time-interval set contains them anyway."""
         window = self.requirement
-        begin, end = length * period.number, length * (period.number + 1)
-        if window.start == window.end or window.kind == "reach" or self._discrete(period):
-            if window.start <= end <= window.end:
-                self._record(period.index, self._points(period.end), float(end), period.end)
-            return
-        if window.end < begin or window.start > end:
-            return
-        for group in period.flow.groups:
-            now = begin
-            for step in group.steps:
-                until = now + step.duration
-                if window.start <= until and now <= window.end:
-                    self._observe_step(period.index[group.cells], step, now)
-                now = until
+        if window.start == 0 and (self._by_points or window.end == 0):
+            self._record(np.arange(start.batch), self._points(start), np.zeros(start.batch), start)
 
-    def _discrete(self, period: Period) -> bool:
-        return not any(group.steps for group in period.flow.groups)
+    def observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
+        """Look at time-point sets: reach, time-point windows, and everything of a discrete-time plant."""
+        window = self.requirement
+        if not self._by_points:
+            return
+        chosen = np.array([window.start <= time <= window.end for time in times], dtype=bool)
+        if not chosen.any():
+            return
+        when = np.array([float(time) for time in times])[chosen]
+        self._record(index[chosen], self._points(sets[chosen]), when, sets[chosen])
 
-    def _observe_step(self, index: Indices, step: Step, begin: Fraction) -> None:
-        """Coarse slabs first, finer ones for the cells that need them."""
-        states = step.added.shape[1]
+    def observe_steps(self, index: Indices, begins: Sequence[Fraction], step: Step) -> None:
+        """Look at the time-interval sets of integrator steps: coarse slabs first, finer ones where they are needed."""
+        window = self.requirement
+        if self._by_points:
+            return
+        chosen = [window.start <= begin + step.duration and begin <= window.end for begin in begins]
+        cells = np.flatnonzero(chosen)
+        if not cells.size:
+            return
+        current = step if cells.size == len(begins) else step.select(cells)
         slabs = 1
-        cells = np.arange(index.size)
-        current = step
         while True:
-            margin, worst, sets = self._slabs(current, slabs, begin, last=4 * slabs > self.options.slabs)
+            starts = [begins[cell] for cell in cells]
+            finest = 4 * slabs > self.options.slabs
+            margin, worst, sets = self._slabs(current, slabs, starts, finest)
             proved = margin > 0.0
-            final = proved | (4 * slabs > self.options.slabs)
-            for position in np.flatnonzero(final):
-                place = (
-                    Zonotope(
-                        sets.center[position, worst[position]][None, :states],
-                        sets.generators[position, worst[position]][None],
-                        sets.radius[position, worst[position]][None],
-                    )
-                    if not proved[position]
-                    else None
-                )
-                when = float(begin + step.duration * (2 * int(worst[position]) + 1) / (2 * slabs))
-                self._record_one(int(index[cells[position]]), float(margin[position]), when, place)
-            if final.all():
+            final = np.flatnonzero(proved | finest)
+            middles = [float(starts[i] + step.duration * (2 * int(worst[i]) + 1) / (2 * slabs)) for i in final]
+            self._record(index[cells[final]], margin[final], np.array(middles), sets[final * slabs + worst[final]])
+            if final.size == cells.size:
                 return
-            cells = cells[~final]
-            current = current.select(np.flatnonzero(~final))
-            slabs *= 4
+            left = np.flatnonzero(~(proved | finest))
+            cells, current, slabs = cells[left], current.select(left), 4 * slabs
 
-    def _slabs(self, step: Step, slabs: int, begin: Fraction, last: bool) -> tuple[Array, Indices, Zonotope]:
-        """Margins of the slabs inside the window: the smallest per cell, which slab, and all sets (B, S, ...)."""
-        window = self.requirement
-        width = step.duration / slabs
-        sets = step.time_intervals(slabs)
-        wanted = [begin + width * s <= window.end and begin + width * (s + 1) >= window.start for s in range(slabs)]
-        batch = sets[0].batch
-        stacked = Zonotope(
-            np.stack([z.center for z in sets], 1),
-            np.stack([z.generators for z in sets], 1),
-            np.stack([z.radius for z in sets], 1),
-        )
-        flat = Zonotope(
-            stacked.center.reshape(batch * slabs, -1),
-            stacked.generators.reshape(batch * slabs, *stacked.generators.shape[2:]),
-            stacked.radius.reshape(batch * slabs, -1),
-        )
-        margins = self._intervals(flat, coarse=slabs == 1).reshape(batch, slabs)
-        margins[:, ~np.array(wanted)] = np.inf
-        if last and self.requirement.kind == "avoid":
-            self._improve_by_program(margins, stacked)
+    def _slabs(
+        self, step: Step, slabs: int, begins: Sequence[Fraction], finest: bool
+    ) -> tuple[Array, Indices, Zonotope]:
+        """Smallest margin over the slabs inside the window, which slab, and all sets, slab by slab of each cell."""
+        window, width = self.requirement, step.duration / slabs
+        parts = step.time_intervals(slabs)
+        batch = parts[0].batch
+        order = np.arange(batch * slabs).reshape(slabs, batch).T.ravel()
+        sets = stack_cells(parts)[order] if slabs > 1 else parts[0]
+        margins = self._intervals(sets, coarse=slabs == 1).reshape(batch, slabs)
+        known: dict[Fraction, list[bool]] = {}
+        for begin in begins:
+            if begin not in known:
+                ends = [(begin + width * part, begin + width * (part + 1)) for part in range(slabs)]
+                known[begin] = [low <= window.end and high >= window.start for low, high in ends]
+        wanted = np.array([known[begin] for begin in begins])
+        # a bound that is not a number is no bound; outside the window nothing is asked
+        margins = np.where(wanted, np.where(np.isnan(margins), -np.inf, margins), np.inf)
+        if finest and self.requirement.kind == "avoid":
+            self._improve_by_program(margins, sets)
         worst = margins.argmin(1)
-        margin = np.take_along_axis(margins, worst[:, None], 1)[:, 0]
-        return np.where(np.isnan(margins).any(1), -np.inf, margin), worst, stacked
+        return np.take_along_axis(margins, worst[:, None], 1)[:, 0], worst, sets
 
     def _improve_by_program(self, margins: Array, sets: Zonotope) -> None:
         """Try a linear program for the slabs that simple directions miss narrowly; stop at a cell's first failure."""
-        for cell in range(margins.shape[0]):
+        slabs = margins.shape[1]
+        for cell in np.flatnonzero((margins <= 0.0).any(1)):
             for slab in np.argsort(margins[cell]):
                 margin = margins[cell, slab]
-                z = Zonotope(sets.center[cell, [slab]], sets.generators[cell, [slab]], sets.radius[cell, [slab]])
+                z = sets[[cell * slabs + slab]]
                 reach = max(member.program_range for member in self.members) * float(z.spread.max())
                 if not (-reach < margin <= 0.0):
                     break
-                best = min(max(program_separation(z, member)[0], self._one(z, member)) for member in self.members)
+                best = min(
+                    max(program_separation(z, member)[0], float(mixed_separation(z, member)[0]))
+                    for member in self.members
+                )
                 margins[cell, slab] = max(margin, best)
                 if not (margins[cell, slab] > 0.0):
                     break
 
-    def _one(self, z: Zonotope, member: Facets) -> float:
-        return float(mixed_separation(z, member)[0])
-
     def _intervals(self, z: Zonotope, coarse: bool) -> Array:
         """Margins of sets that must satisfy the requirement at every time they cover, shape (B,)."""
         if self.requirement.kind == "avoid":
-            check = (lambda z, m: facet_separation(z, m)[0]) if coarse else mixed_separation
-            return np.min([check(z, member) for member in self.members], axis=0)  # type: ignore[no-any-return]
+            apart = [facet_separation(z, m)[0] if coarse else mixed_separation(z, m) for m in self.members]
+            return np.min(apart, axis=0)  # type: ignore[no-any-return]
         inside = [containment_margins(z, member).min(1) for member in self.members]
         return np.max(inside, axis=0)  # type: ignore[no-any-return]
 
     def _points(self, z: Zonotope) -> Array:
         margins = self._intervals(z, coarse=False)
+        margins = np.where(np.isnan(margins), -np.inf, margins)
         if self.requirement.kind == "avoid":
-            padded = Zonotope(z.center[:, None], z.generators[:, None], z.radius[:, None])
-            grid = margins[:, None].copy()
-            self._improve_by_program(grid, padded)
-            margins = grid[:, 0]
-        return np.where(np.isnan(margins), -np.inf, margins)
+            self._improve_by_program(margins[:, None], z)
+        return margins
 
-    def _record(self, index: Indices, margins: Array, time: float, z: Zonotope) -> None:
-        for position, cell in enumerate(index):
-            place = z[position : position + 1] if not (margins[position] > 0.0) else None
-            self._record_one(int(cell), float(margins[position]), time, place)
-
-    def _record_one(self, cell: int, margin: float, time: float, place: Zonotope | None) -> None:
-        if self.requirement.kind == "reach":
-            if margin > self.margin[cell] or np.isnan(self.time[cell]):
+    def _record(self, index: Indices, margins: Array, times: Array, sets: Zonotope) -> None:
+        """Enter margins; a cell may occur more than once."""
+        best = self.requirement.kind == "reach"
+        for position, cell in enumerate(index.tolist()):
+            margin, time = float(margins[position]), float(times[position])
+            first = np.isnan(self.time[cell])
+            if first or (margin > self.margin[cell] if best else margin < self.margin[cell]):
                 self.margin[cell], self.time[cell] = margin, time
-                if place is not None:
-                    self.failing[cell] = place
-            return
-        if margin < self.margin[cell] or np.isnan(self.time[cell]):
-            self.margin[cell], self.time[cell] = margin, time
-        if not (margin > 0.0):
-            if not self.failed[cell] and place is not None:
-                self.failing[cell] = place
-            self.failed[cell] = True
+                if best:
+                    self.failing[cell] = sets[[position]]
+            if not best and not (margin > 0.0):
+                self.failed[cell] = True
+                if not (self.failed_at[cell] <= time):
+                    self.failed_at[cell] = time
+                    self.failing[cell] = sets[[position]]
 
     def finish(self) -> None:
-        """The horizon's end was seen: a reach requirement without a proof has failed; a window nobody saw has, too."""
-        self.failed |= ~((self.margin > 0.0) & np.isfinite(self.margin))
-
-
-def widest_facet_text(requirement: BoundRequirement, z: Zonotope) -> str:
-    """Text of the facet that decides the margin of a set: for messages."""
-    best_text, best = "", -np.inf
-    for member in requirement.region:
-        facets = prepare_polytope(member)
-        if requirement.kind == "avoid":
-            margin, which = facet_separation(z, facets)
-            value, text = float(margin[0]), facets.texts[int(which[0])]
-        else:
-            margins = containment_margins(z, facets)[0]
-            value, text = float(margins.min()), facets.texts[int(margins.argmin())]
-        if value > best or not best_text:
-            best, best_text = value, text
-    return best_text
+        """The horizon's end was seen: without a proof by now, the requirement has failed; so has one nobody looked at."""
+        unproved = ~((self.margin > 0.0) & np.isfinite(self.margin))
+        fresh = unproved & ~self.failed
+        self.failed_at[fresh] = self.time[fresh]
+        self.failed |= unproved

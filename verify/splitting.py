@@ -17,8 +17,7 @@ from . import rounding
 from .closed_loop import SOURCES, Engine, Period
 from .deadline import Deadline
 from .model import initial_box
-from .performance import Performance
-from .requirements import Monitor
+from .watch import Watch
 from .zonotope import Zonotope
 
 Array = NDArray[np.float64]
@@ -262,80 +261,47 @@ def _run_batch(
     count = cells.size
     center, rows, radius = initial.cells(tree.lower, tree.upper)
     batch = engine.start(center, rows, radius, observation_radii[tree.problem])
-    monitors = [Monitor.create(requirement, count, options) for requirement in loop.requirements]
-    performance = None if loop.reward is None else Performance.create(loop.reward, count)
-    states = engine.model.states
-    points = np.full((count, loop.periods + 1, 2, states), np.nan)
-    intervals = np.full((count, loop.periods, 2, states), np.nan)
-    everything = np.arange(count)
-    hull = batch.tracked.coordinates(slice(0, states)).interval
-    points[:, 0] = np.stack([hull.lower, hull.upper], 1)
-    for monitor in monitors:
-        monitor.observe_start(everything, batch.tracked.coordinates(slice(0, states)), loop.plant.discrete)
+    watch = Watch.over(loop, options, batch.tracked.coordinates(slice(0, engine.model.states)))
     # a root runs on after a failure: its V(s0), its plot and its reason are what the user gets to see
     whole = tree.parent < 0
     sound = np.zeros(count, dtype=np.intp)
-    failed_at = np.full(count, loop.periods, dtype=np.intp)
 
     def observer(period: Period) -> Bools:
         index = period.index
-        for monitor in monitors:
-            monitor.observe(period, loop.period)
-        if performance is not None:
-            good = np.flatnonzero(period.sound)
-            performance.observe(index[good], period.end[good])
-            performance.advance()
-        _record_hulls(period, points, intervals)
+        watch.see(period)
         sound[index[period.sound]] += 1
         action, own = period.action.interval, cells[index]
         state.action_lower[own] = np.minimum(state.action_lower[own], action.lower)
         state.action_upper[own] = np.maximum(state.action_upper[own], action.upper)
         state.deployed_error[own] = np.maximum(state.deployed_error[own], period.deployed_error)
-        bad = np.zeros(index.size, dtype=bool)
-        for monitor in monitors:
-            bad |= monitor.failed[index]
-        first = bad & (failed_at[index] == loop.periods)
-        failed_at[index[first]] = period.number
         state.periods_enclosed += int(index.size)
         if deadline.expired:
             return np.zeros(index.size, dtype=bool)
-        return ~bad | whole[index]
+        return ~watch.failed[index] | whole[index]
 
     final = engine.run(batch, observer)
     arrived = np.zeros(count, dtype=bool)
     arrived[final.index] = True
     arrived &= sound == loop.periods
-    for monitor in monitors:
+    watch.flush()
+    for monitor in watch.monitors:
         monitor.finish()
     proved = arrived.copy()
-    for number, monitor in enumerate(monitors):
+    for number, monitor in enumerate(watch.monitors):
         proved &= monitor.proved
         state.margins[cells, number] = np.where(arrived | monitor.failed, monitor.margin, -np.inf)
         state.times[cells, number] = monitor.time
         for local, place in monitor.failing.items():
             state.failing.setdefault(int(cells[local]), (number, place))
-    if performance is not None:
-        value, undiscounted = performance.value(loop.periods)
+    if watch.performance is not None:
+        value, undiscounted = watch.performance.value()
         state.value[cells], state.undiscounted[cells] = value, undiscounted
     state.growth[cells[final.index]] = final.growth
-    state.reached[cells] = np.minimum(sound, failed_at)
+    state.reached[cells] = np.minimum(sound, watch.periods_before_failure())
     state.status[cells] = np.where(proved, PROVED, FAILED)
     for local in range(count):
         if (proved[local] or whole[local]) and len(state.hulls) < MOST_HULLS:
-            state.hulls[int(cells[local])] = points[local], intervals[local]
-
-
-def _record_hulls(period: Period, points: Array, intervals: Array) -> None:
-    end = period.end.interval
-    points[period.index, period.number + 1] = np.stack([end.lower, end.upper], 1)
-    for group in period.flow.groups:
-        low = high = None
-        for step in group.steps:
-            part = step.time_intervals(1)[0].interval
-            low = part.lower if low is None else np.minimum(low, part.lower)
-            high = part.upper if high is None else np.maximum(high, part.upper)
-        if low is not None and high is not None:
-            intervals[period.index[group.cells], period.number] = np.stack([low, high], 1)
+            state.hulls[int(cells[local])] = watch.points[local], watch.intervals[local]
 
 
 def _cut(engine: Engine, state: Exploration, cells: Indices, most: int) -> None:

@@ -7,6 +7,7 @@ generator, rounding included.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -145,6 +146,18 @@ def pad_rows(generators: Array, rows: int) -> Array:
         return generators
     shape = (*generators.shape[:-2], missing, generators.shape[-1])
     return np.concatenate([generators, np.zeros(shape)], -2)
+
+
+def stack_cells(sets: Sequence[Zonotope]) -> Zonotope:
+    """One batch of several: cells one after the other, rows padded to the same number."""
+    if len(sets) == 1:
+        return sets[0]
+    rows = max(z.generators.shape[-2] for z in sets)
+    return Zonotope(
+        np.concatenate([z.center for z in sets]),
+        np.concatenate([pad_rows(z.generators, rows) for z in sets]),
+        np.concatenate([z.radius for z in sets]),
+    )
 
 
 def append_rows(z: Zonotope, rows: Array) -> Zonotope:
