@@ -211,11 +211,8 @@ def simulate(
     quiet: QuietOption = False,
 ) -> int:
     """Simulate trajectories of the closed loop. It is for looking; it proves nothing."""
-    from .specs.errors import UsageError
-
-    if not 1 <= rollouts <= 100_000 or seed < 0:
-        wrong = ("--rollouts", rollouts, "from 1 to 100000") if seed >= 0 else ("--seed", seed, "from 0")
-        raise UsageError(f"a whole number {wrong[2]} is required, received {wrong[1]}", where=wrong[0])
+    _require_whole("--rollouts", rollouts, 1, 100_000)
+    _require_whole("--seed", seed, 0, 2**63)
     radius = _radius(epsilon)
     _require_outputs(plot=plot, csv=csv)
     network, specification = _inputs(policy, spec, quiet)
@@ -350,6 +347,13 @@ def _options(
             raise UsageError(error.message, where=flag, remedy=f"leave {flag} out for the default") from error
         chosen[name] = value
     return Options(**chosen)
+
+
+def _require_whole(flag: str, value: int, least: int, most: int) -> None:
+    from .specs.errors import UsageError
+
+    if not least <= value <= most:
+        raise UsageError(f"received {value}", where=flag, remedy=f"use a whole number from {least} to {most}")
 
 
 def _radii(text: str | None) -> tuple[Fraction, ...]:
