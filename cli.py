@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from .models.simulation import Trajectories
     from .verify.options import Options
 
-PLACEHOLDER = True
-"""Not every command has landed; the tests that execute the documentation wait for this line to go."""
-
 OK, UNKNOWN, BAD_INPUT, INTERNAL = 0, 5, 2, 6
 ABORTED, PIPE_CLOSED = 130, 141
 """What a shell reports for a program that SIGINT or SIGPIPE ended."""

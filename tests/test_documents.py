@@ -22,7 +22,7 @@ import setrl.cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-EXAMPLES = (ROOT / "models").rglob("*.onnx")
+EXAMPLES = tuple((ROOT / "models").rglob("*.onnx"))
 FENCE = re.compile(r"^(?P<indent> *)```(?P<info>[^\n`]*)\n(?P<body>.*?)^(?P=indent)```\s*$", re.MULTILINE | re.DOTALL)
 EXIT = re.compile(r"#\s*exit (\d+)\s*$")
 FILE = re.compile(r"# ([\w-]+\.yaml)\n")

@@ -1,0 +1,28 @@
+"""Examples run and end in the verdict that they assert."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("verify_*.py"))
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_ends_with_its_verdict(example: Path, tmp_path: Path) -> None:
+    assert "assert " in example.read_text(encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / ".src")}
+    command = [sys.executable, "-W", "error", str(example), str(tmp_path)]
+    outcome = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "VERIFIED" in outcome.stdout
+    assert {path.name for path in tmp_path.iterdir()} == {"flowpipe.png", "sweep.png"}
+
+
+def test_there_are_examples() -> None:
+    assert EXAMPLES
