@@ -1,4 +1,4 @@
-"""False positives that were found by hand, smallest form. An entry here is a bug until its mark is gone."""
+"""False positives that the engine once had, in their smallest form."""
 
 from __future__ import annotations
 
@@ -13,14 +13,8 @@ from setrl.verify.relaxations import relax
 from setrl.verify.result import Verdict
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Engine.advance: with a delay, rows of `queue` (the network's private factors) and rows of `end` "
-    "(disturbances, products) behind the shared ones are different factors at the same position; concatenate "
-    "correlates them",
-)
 def test_the_delayed_action_shares_no_factor_with_this_period_s_disturbance() -> None:
-    # x2 = x1 - (x0 + e) + d1 = d0 - e + d1: three independent numbers of [-1, 1]; the engine says [-1, 1]
+    # x2 = x1 - (x0 + e) + d1 = d0 - e + d1: three independent numbers of [-1, 1]; the engine once said [-1, 1]
     plant = plant_of({"x": "x - u + d"}, disturbances="d", discrete=True)
     specification = specification_of(
         plant,
@@ -37,10 +31,6 @@ def test_the_delayed_action_shares_no_factor_with_this_period_s_disturbance() ->
     assert result.flowpipe.points[0, 2, 1, 0] >= 3.0
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Monitor.observe_start skips avoid and stay windows [0, T] of discrete-time plants: time 0 is never seen",
-)
 @pytest.mark.parametrize(("kind", "region"), [("avoid", (4, 6)), ("stay", (-3, 3))])
 def test_the_initial_set_of_a_discrete_time_plant_is_checked(kind: str, region: tuple[int, int]) -> None:
     plant = plant_of({"x": "x/2 + u"}, discrete=True)
@@ -50,11 +40,6 @@ def test_the_initial_set_of_a_discrete_time_plant_is_checked(kind: str, region: 
     assert verify(gain([0.0]), specification).verdict is not Verdict.VERIFIED
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="_relu gives slope 0 for NaN bounds, and network._activate sets the radius of such a neuron to 0: a NaN "
-    "radius (inf * 0 in linear_map) becomes the exact constant 0",
-)
 def test_an_overflow_inside_the_network_never_becomes_a_constant() -> None:
     # the second neuron is the state z in [5, 6]; the first one's spread overflows and is multiplied by zero
     layers = (
@@ -75,7 +60,6 @@ def test_an_overflow_inside_the_network_never_becomes_a_constant() -> None:
     assert verify(policy, specification, options=Options(deployed=False)).verdict is not Verdict.VERIFIED
 
 
-@pytest.mark.xfail(strict=True, reason="_relu answers NaN bounds with slope 0 and error 0")
 def test_a_relaxation_without_bounds_is_not_finite() -> None:
     nan = np.array([[np.nan]])
     relaxation = relax(Activation("relu"), nan, nan)
