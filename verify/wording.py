@@ -8,6 +8,8 @@ from decimal import Context, Decimal
 from fractions import Fraction
 
 from ..models.closed_loop import BoundRequirement, ClosedLoop
+from ..models.onnx_runtime import runtime_version
+from ..specs.exact import signed_text
 
 
 def number(value: Fraction | float) -> str:
@@ -28,9 +30,9 @@ def at_most(value: float, digits: int = 2) -> str:
 def _short(value: float, digits: int, rounding: str) -> str:
     if not math.isfinite(value):
         return f"{value:g}"
-    exact = Decimal(value)
-    rounded = Context(prec=digits, rounding=rounding).plus(exact)
-    return f"{float(rounded):.{digits}g}"
+    rounded = Context(prec=digits, rounding=rounding).plus(Decimal(value)).normalize()
+    # the decimal itself is printed: by way of a float it would be rounded once more, to nearest
+    return f"{rounded:f}" if -5 <= rounded.adjusted() < 16 or not rounded else f"{rounded:e}"
 
 
 def quantity(count: int, noun: str) -> str:
@@ -52,7 +54,7 @@ def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
     clauses = [requirement_clause(requirement, loop) for requirement in loop.requirements]
     if not clauses and loop.reward is not None:
         clauses = ["has a return below V(s0)"]
-    noise = [number(radius) for radius in loop.observation_radius]
+    noise = [signed_text(radius) for radius in loop.observation_radius]
     perturbed = "exact observations"
     if any(radius > 0 for radius in loop.observation_radius):
         radius = noise[0] if len(set(noise)) == 1 else "(" + ", ".join(noise) + ")"
@@ -60,7 +62,8 @@ def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
     moving = sum(1 for bound in loop.disturbances if bound.lower != bound.upper)
     disturbed = f" and {quantity(moving, 'bounded disturbance')}" if moving else ""
     executed = " and as executed in ".join(
-        {"real": "exact real arithmetic"}.get(name, f"{name} by onnxruntime on a CPU") for name in semantics
+        {"real": "exact real arithmetic"}.get(name, f"{name} by onnxruntime {runtime_version()} on a CPU")
+        for name in semantics
     )
     return (
         f"no trajectory of plant {plant} under this network, from this initial set, with {perturbed}{disturbed}, "
@@ -70,7 +73,7 @@ def claim_sentence(loop: ClosedLoop, semantics: Sequence[str]) -> str:
 
 def requirement_clause(requirement: BoundRequirement, loop: ClosedLoop) -> str:
     """What a violation of a requirement would be: "enters `obstacle` within 6 s"."""
-    start, end = number(requirement.start), number(requirement.end)
+    start, end = signed_text(requirement.start), signed_text(requirement.end)
     horizon = loop.period * loop.periods
     when = f"at {end} s" if requirement.start == requirement.end else f"between {start} s and {end} s"
     if requirement.start == 0 and requirement.end == horizon:
