@@ -57,6 +57,8 @@ class Cells:
         Integrator steps (as a power of two) that the last period needed.
     growth : array, shape (B, len(SOURCES))
         What each source has added so far, in units of the set's own extent at that time.
+    rate : array, shape (2, B, n), or None
+        Growth of the last a-priori box per second, a guess.
     """
 
     tracked: Zonotope
@@ -64,6 +66,7 @@ class Cells:
     index: NDArray[np.intp]
     substeps: NDArray[np.intp]
     growth: Array
+    rate: Array | None = None
 
     def select(self, keep: NDArray[np.intp] | Bools) -> Cells:
         """Some of the cells."""
@@ -73,6 +76,7 @@ class Cells:
             self.index[keep],
             self.substeps[keep],
             self.growth[keep],
+            None if self.rate is None else self.rate[:, keep],
         )
 
 
@@ -187,7 +191,7 @@ class Engine:
             # factors that are private to this period's computed action own their rows even while the action is delayed
             joint = replace(joint, generators=pad_rows(joint.generators, computed.generators.shape[1]))
             joint = self._with_disturbances(joint, tracked)
-            flow = integrate(model.loop.plant, joint, model.loop.period, options, cells.substeps)
+            flow = integrate(model.loop.plant, joint, model.loop.period, options, cells.substeps, cells.rate)
             end = flow.end.coordinates(slice(0, states))
             constant = tracked.coordinates(slice(states, first_delayed))
             result = concatenate(concatenate(end, constant), queue)
@@ -210,7 +214,7 @@ class Engine:
             flow.sound & finite,
             error,
         )
-        return period, Cells(reduced, cells.observation_radius, cells.index, flow.substeps, growth)
+        return period, Cells(reduced, cells.observation_radius, cells.index, flow.substeps, growth, flow.rate)
 
     def _act(self, state: Zonotope, radius: Array, shared: int) -> tuple[Zonotope, Array, Array]:
         """Action set of a state set: observe, perturb, network, clip, deployed error; private rows merged.

@@ -40,7 +40,7 @@ def derivative_bounds(tape: Tape, box: Ball) -> Ball:
     return Ball(result[0], result[1])
 
 
-def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray[np.bool_]]:
+def a_priori_enclosure(tape: Tape, box: Ball, step: Ball, rate: Array | None = None) -> tuple[Ball, NDArray[np.bool_]]:
     """Boxes that contain every trajectory from `box` over [0, step], by Picard iteration.
 
     If ``X + [0, h] f(B)`` is contained in B, then B contains all solutions that start in X, they exist on [0, h], and
@@ -52,6 +52,8 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray
         Vector field; outputs are the derivatives of the first n inputs, the others are constant.
     box : Ball, shape (B, d)
     step : Ball, shape ()
+    rate : array, shape (2, B, n), optional
+        Guess of the derivatives' lower and upper bounds, from wherever.
 
     Returns
     -------
@@ -60,40 +62,50 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball) -> tuple[Ball, NDArray
         Where inclusion was proved. Elsewhere the box means nothing.
     """
     states = len(tape.outputs)
-    low, high = box.lower, box.upper
-    start_low, start_high = low[:, :states], high[:, :states]
-    longest = rounding.up(step.mid + step.rad)
-    proved = np.zeros(low.shape[0], dtype=bool)
-
-    def image(low: Array, high: Array) -> tuple[Array, Array]:
-        """X + [0, h] f([low, high]), with the unchanged inputs appended."""
-        rate = derivative_bounds(tape, balls.hull(low, high))
-        down = rounding.down(np.minimum(rounding.down(longest * rate.lower), 0.0))
-        up = rounding.up(np.maximum(rounding.up(longest * rate.upper), 0.0))
-        new_low, new_high = rounding.down(start_low + down), rounding.up(start_high + up)
-        return np.concatenate([new_low, low[:, states:]], 1), np.concatenate([new_high, high[:, states:]], 1)
-
     with np.errstate(invalid="ignore", over="ignore"):
-        result_low, result_high = low, high
-        low, high = image(low, high)
+        least, most = box.lower, box.upper
+        start_low, start_high = least[:, :states].copy(), most[:, :states].copy()
+        size = box.magnitude[:, :states]
+        longest = float(step.upper)
+
+        def reached(slowest: Array, fastest: Array) -> tuple[Array, Array]:
+            """X + [0, h] [slowest, fastest]."""
+            down = rounding.down(np.minimum(rounding.down(longest * slowest), 0.0))
+            up = rounding.up(np.maximum(rounding.up(longest * fastest), 0.0))
+            return rounding.down(start_low + down), rounding.up(start_high + up)
+
+        def image(low: Array, high: Array) -> tuple[Array, Array]:
+            """X + [0, h] f([low, high])."""
+            least[:, :states], most[:, :states] = low, high
+            bounds = derivative_bounds(tape, balls.hull(least, most))
+            return reached(bounds.lower, bounds.upper)
+
+        low, high = image(start_low, start_high) if rate is None else reached(rate[0], rate[1])
+        fits = np.zeros(low.shape, dtype=bool)
+        proved = np.zeros(low.shape[0], dtype=bool)
+        result_low, result_high = start_low, start_high
         for _ in range(PICARD_ITERATIONS):
-            # grow the guess: the image of a slightly larger box has to fit
-            slack = 0.5 * ((high - low) - (box.upper - box.lower))[:, :states]
-            slack = np.maximum(slack, 2.0**-40 * (np.abs(low) + np.abs(high))[:, :states]) + rounding.TINY
-            low, high = low.copy(), high.copy()
-            low[:, :states] -= slack
-            high[:, :states] += slack
+            # the image of a slightly larger box has to fit; coordinates that fitted already keep their bounds
+            slack = np.maximum(0.5 * ((high - low) - 2.0 * box.rad[:, :states]), 2.0**-40 * size) + rounding.TINY
+            low, high = np.where(fits, low, low - slack), np.where(fits, high, high + slack)
             new_low, new_high = image(low, high)
-            inside = ((new_low >= low) & (new_high <= high)).all(1)
-            inside &= np.isfinite(new_low).all(1) & np.isfinite(new_high).all(1)
-            fresh = inside & ~proved
+            fits = (new_low >= low) & (new_high <= high) & np.isfinite(new_low) & np.isfinite(new_high)
+            fresh = fits.all(1) & ~proved
             result_low = np.where(fresh[:, None], new_low, result_low)
             result_high = np.where(fresh[:, None], new_high, result_high)
-            proved |= inside
+            proved |= fresh
             if proved.all():
                 break
-            low, high = np.minimum(new_low, low), np.maximum(new_high, high)
-    return balls.hull(result_low, result_high), proved
+            low, high = np.where(fits, low, new_low), np.where(fits, high, new_high)
+        least[:, :states], most[:, :states] = result_low, result_high
+        return balls.hull(least, most), proved
+
+
+def growth_rate(prior: Ball, box: Ball, states: int, duration: Fraction) -> Array:
+    """Growth of an a-priori box per second, shape (2, B, n): a guess for the next step, not a bound."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        growth = np.stack([prior.lower - box.lower, prior.upper - box.upper])
+        return growth[:, :, :states] / float(duration)
 
 
 def image_of(tape: Tape, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
@@ -155,8 +167,8 @@ class SlabWeights:
         Upper bound of half the parts' width.
     value, velocity : Ball, shape (S, K)
         Of the state and its time derivative at the parts' middles.
-    last, first_derivative, second_derivative : Ball, shape (S, K)
-        Of the state and of bounds of its derivatives at the parts' ends.
+    last, second_derivative : Ball, shape (S, K)
+        Of bounds of the state and of its second derivative up to the parts' ends.
     remainder : array, shape (S,)
         Upper bound of the parts' end to the power K.
     """
@@ -165,7 +177,6 @@ class SlabWeights:
     value: Ball
     velocity: Ball
     last: Ball
-    first_derivative: Ball
     second_derivative: Ball
     remainder: Array
 
@@ -193,7 +204,6 @@ def slab_weights(duration: Fraction, slabs: int, terms: int) -> SlabWeights:
         middle,
         derivative(middle, 1),
         last[:, :terms],
-        derivative(last, 1),
         derivative(last, 2),
         last.upper[:, terms],
     )
@@ -223,6 +233,8 @@ class JetStep:
         The part of it that shorter steps would diminish: the time remainder.
     sound : array of bool, shape (B,)
         Whether the a-priori enclosure was proved and everything is finite; elsewhere the step means nothing.
+    rate : array, shape (2, B, n)
+        Growth of the a-priori box per second: a guess for the next step, not a bound.
     """
 
     start: Zonotope
@@ -236,6 +248,7 @@ class JetStep:
     added: Array
     truncation: Array
     sound: NDArray[np.bool_]
+    rate: Array
     slabs: dict[int, list[Zonotope]] = field(default_factory=dict, repr=False, compare=False)
     """Time-interval sets that were already asked for."""
 
@@ -253,6 +266,7 @@ class JetStep:
             self.added[cells],
             self.truncation[cells],
             self.sound[cells],
+            self.rate[:, cells],
         )
 
     @classmethod
@@ -271,14 +285,15 @@ class JetStep:
             np.concatenate([step.added for step in steps]),
             np.concatenate([step.truncation for step in steps]),
             np.concatenate([step.sound for step in steps]),
+            np.concatenate([step.rate for step in steps], 1),
         )
 
     def time_intervals(self, slabs: int) -> list[Zonotope]:
         """Sets that contain the states at every time of each of `slabs` equal parts of the step.
 
         Around the middle t_m of a part, with |tau| <= delta: P(t_m + tau) in P(t_m) + P'(t_m) tau +- delta^2/2 |P''|,
-        time as one more generator; DP(t) d in DP(t_m) d +- |DP'| a delta; the second-order and remainder terms at the
-        part's end.
+        time as one more generator; DP(t) d in DP(t_m) d +- (|DP'(t_m)| delta + |DP''| delta^2/2) a; the second-order
+        and remainder terms at the part's end.
         """
         if slabs in self.slabs:
             return self.slabs[slabs]
@@ -311,7 +326,7 @@ def _three_jets(
     return together[:, :count], together[:, count : 2 * count], together[:, 2 * count :]
 
 
-def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int) -> JetStep:
+def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int, rate: Array | None = None) -> JetStep:
     """Enclose one step; see the module's formula.
 
     Parameters
@@ -324,6 +339,8 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
         Time order K.
     rows : int
         New generators of the quadratic map.
+    rate : array, shape (2, B, n), optional
+        Guess for the a-priori enclosure.
 
     Returns
     -------
@@ -331,7 +348,7 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
     """
     states, dimension = len(tape.outputs), z.dimension
     box = z.interval
-    prior, proved = a_priori_enclosure(tape, box, balls.rational(duration))
+    prior, proved = a_priori_enclosure(tape, box, balls.rational(duration), rate)
     with np.errstate(invalid="ignore", over="ignore"):
         plan = plan_of(tape)
         used = plan.used
@@ -352,8 +369,10 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int)
         end = concatenate(image, z.coordinates(slice(states, dimension)))
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
     added = rounding.enlarged(added + rest.magnitude, 2)
+    growth = growth_rate(prior, box, states, duration)
     sound = proved & finite
-    return JetStep(z, duration, value, jacobian, hessian, used, remainder, end, added, rest.magnitude, sound)
+    truncation = rest.magnitude
+    return JetStep(z, duration, value, jacobian, hessian, used, remainder, end, added, truncation, sound, growth)
 
 
 def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
@@ -366,10 +385,12 @@ def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
     velocity = combine(weights.velocity, step.value)
     delta = weights.half
     time_rows = velocity.mid * delta
+    bend = 0.5 * delta * delta
     extra = velocity.rad * delta + rounding.relative_error(time_rows, 1)
-    extra = extra + 0.5 * delta * delta * largest(weights.second_derivative, step.value)
-    drift = largest(weights.first_derivative, step.jacobian)
-    extra = extra + delta * (drift @ spread[:, :, None])[..., 0]
+    extra = extra + bend * largest(weights.second_derivative, step.value)
+    drift = delta * combine(weights.velocity, step.jacobian).magnitude
+    drift = drift + bend * largest(weights.second_derivative, step.jacobian)
+    extra = extra + (drift @ spread[:, :, None])[..., 0]
     extra = extra + _half_quadratic(largest(weights.last, step.hessian), spread[:, step.variables])
     extra = extra + step.remainder.magnitude * weights.remainder[:, None, None]
     extra = rounding.enlarged(extra, 4 * spread.shape[1] + 24)

@@ -25,7 +25,8 @@ class Step(Protocol):
     """One integrator step of a batch: what every flow method returns.
 
     `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part
-    of it that shorter steps would diminish, `sound` where the enclosure exists (B,).
+    of it that shorter steps would diminish, `sound` where the enclosure exists (B,), `rate` a guess for the next step
+    (2, B, n).
     """
 
     @property
@@ -38,6 +39,8 @@ class Step(Protocol):
     def truncation(self) -> Array: ...
     @property
     def sound(self) -> Bools: ...
+    @property
+    def rate(self) -> Array: ...
     def select(self, cells: Any) -> Step: ...
     @classmethod
     def join(cls, steps: Sequence[Any]) -> Any: ...
@@ -66,6 +69,8 @@ class PeriodFlow:
     sound : array of bool, shape (B,)
     substeps : array of int, shape (B,)
         Guess for the next period: log2 of the number of steps.
+    rate : array, shape (2, B, n), or None
+        Guess for the next period: growth of the a-priori box per second.
     """
 
     groups: tuple[StepGroup, ...]
@@ -73,9 +78,17 @@ class PeriodFlow:
     added: Array
     sound: Bools
     substeps: Indices
+    rate: Array | None
 
 
-def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options, guess: Indices) -> PeriodFlow:
+def integrate(
+    plant: Plant,
+    joint: Zonotope,
+    period: Fraction,
+    options: Options,
+    guess: Indices,
+    rate: Array | None = None,
+) -> PeriodFlow:
     """Enclose the flow over one control period.
 
     Each cell starts with the number of steps it needed last; while their time remainders exceed `remainder_share` of
@@ -89,6 +102,9 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
     period : Fraction
     options : Options
     guess : array of int, shape (B,)
+        log2 of the number of steps to begin with.
+    rate : array, shape (2, B, n), optional
+        Guess for the a-priori enclosures.
 
     Returns
     -------
@@ -100,11 +116,14 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
         image, added = image_of(plant.tape, joint, rows)
         end = concatenate(image, joint.coordinates(slice(states, joint.dimension)))
         sound = np.asarray(np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1))
-        return PeriodFlow((StepGroup(np.arange(joint.batch), ()),), end, added, sound, guess)
+        return PeriodFlow((StepGroup(np.arange(joint.batch), ()),), end, added, sound, guess, None)
     take_step = _method(plant, options, rows)
     most = options.max_substeps.bit_length() - 1
+    # a step of twice the length has about 2^decay times the truncation
+    decay = options.taylor_order if options.method == "jets" else 2
     level = np.minimum(guess, most)
     groups: list[StepGroup] = []
+    rates = np.zeros((2, joint.batch, states))
     results: list[tuple[Indices, Zonotope, Array, Bools]] = []
     following = level.copy()
     pending = np.ones(joint.batch, dtype=bool)
@@ -113,7 +132,12 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
         cells = np.flatnonzero(pending & (level == current))
         whole = cells.size == joint.batch
         steps, end, added, truncation, sound = _steps(
-            take_step, joint if whole else joint[cells], period, 2**current, rows
+            take_step,
+            joint if whole else joint[cells],
+            rate if whole or rate is None else rate[:, cells],
+            period,
+            2**current,
+            rows,
         )
         spread = end.spread[:, :states]
         size = np.abs(end.center[:, :states])
@@ -123,27 +147,31 @@ def integrate(plant: Plant, joint: Zonotope, period: Fraction, options: Options,
         if final.any():
             chosen = np.flatnonzero(final)
             done = cells[chosen]
+            rates[:, done] = steps[-1].rate[:, chosen]
             everything = chosen.size == cells.size
             groups.append(StepGroup(done, steps if everything else tuple(s.select(chosen) for s in steps)))
             results.append((done, end[chosen], added[chosen], sound[chosen]))
-            easy = (truncation[chosen] <= 2.0**-options.taylor_order * allowed[chosen]).all(1)
+            easy = (truncation[chosen] <= 2.0**-decay * allowed[chosen]).all(1)
             following[done] = np.maximum(current - easy, 0)
         level[cells[~final]] += 1
         pending[cells[final]] = False
     end, added, sound = _assemble(results, joint, states)
-    return PeriodFlow(tuple(groups), end, added, sound, following)
+    return PeriodFlow(tuple(groups), end, added, sound, following, rates)
 
 
-def _method(plant: Plant, options: Options, rows: int) -> Callable[[Zonotope, Fraction], Step]:
+TakeStep = Callable[[Zonotope, Fraction, Array | None], Step]
+
+
+def _method(plant: Plant, options: Options, rows: int) -> TakeStep:
     if options.method == "linearization":
         from .linearization import linear_step
 
-        return lambda z, duration: linear_step(plant.tape, z, duration, options.taylor_order)
-    return lambda z, duration: jet_step(plant.tape, z, duration, options.taylor_order, rows)
+        return lambda z, duration, rate: linear_step(plant.tape, z, duration, options.taylor_order, rate)
+    return lambda z, duration, rate: jet_step(plant.tape, z, duration, options.taylor_order, rows, rate)
 
 
 def _steps(
-    take_step: Callable[[Zonotope, Fraction], Step], z: Zonotope, period: Fraction, count: int, rows: int
+    take_step: TakeStep, z: Zonotope, rate: Array | None, period: Fraction, count: int, rows: int
 ) -> tuple[tuple[Step, ...], Zonotope, Array, Array, Bools]:
     """`count` equal steps. All rows that came in keep their identity (the inputs depend on them)."""
     given = z.generators.shape[1]
@@ -151,7 +179,8 @@ def _steps(
     sound = np.ones(z.batch, dtype=bool)
     added = truncation = np.zeros(())
     for _ in range(count):
-        step = take_step(z, period / count)
+        step = take_step(z, period / count, rate)
+        rate = step.rate
         steps.append(step)
         sound &= step.sound
         added = rounding.enlarged(added + step.added, 1)

@@ -35,7 +35,7 @@ from ..models.tape import Tape
 from . import balls, rounding
 from .ball_matrices import absolute_product, exponential_coefficients, exponential_tail, product
 from .balls import Ball
-from .flow import a_priori_enclosure, derivative_bounds
+from .flow import a_priori_enclosure, derivative_bounds, growth_rate
 from .series import map_jets
 from .zonotope import Zonotope, append_rows, concatenate, diagonal_rows, linear_map, stack_cells
 
@@ -76,6 +76,8 @@ class LinearStep:
     sound : array of bool, shape (B,)
         Whether the a-priori enclosure was proved, the tail is bounded and everything is finite; elsewhere the step
         means nothing.
+    rate : array, shape (2, B, n)
+        Growth of the a-priori box per second: a guess for the next step, not a bound.
     """
 
     start: Zonotope
@@ -88,6 +90,7 @@ class LinearStep:
     added: Array
     truncation: Array
     sound: NDArray[np.bool_]
+    rate: Array
     slabs: dict[int, list[Zonotope]] = field(default_factory=dict, repr=False, compare=False)
     """Time-interval sets that were already asked for."""
 
@@ -104,6 +107,7 @@ class LinearStep:
             self.added[cells],
             self.truncation[cells],
             self.sound[cells],
+            self.rate[:, cells],
         )
 
     @classmethod
@@ -120,6 +124,7 @@ class LinearStep:
             np.concatenate([step.added for step in steps]),
             np.concatenate([step.truncation for step in steps]),
             np.concatenate([step.sound for step in steps]),
+            np.concatenate([step.rate for step in steps], 1),
         )
 
     def time_intervals(self, slabs: int) -> list[Zonotope]:
@@ -134,7 +139,7 @@ class LinearStep:
         return self.slabs[slabs]
 
 
-def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> LinearStep:
+def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: Array | None = None) -> LinearStep:
     """Enclose one step; see the module's formula.
 
     Parameters
@@ -145,6 +150,8 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> Line
     duration : Fraction
     order : int
         Highest power K of time in the series of the matrix exponential.
+    rate : array, shape (2, B, n), optional
+        Guess for the a-priori enclosure.
 
     Returns
     -------
@@ -152,7 +159,7 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> Line
     """
     states, dimension = len(tape.outputs), z.dimension
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        prior, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration))
+        prior, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration), rate)
         prior = tightened(tape, z.interval, prior, duration)
         point = expansion_point(tape, z.center, duration)
         domain = hessian_domain(prior, point)
@@ -178,7 +185,9 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int) -> Line
         truncation = (response @ shorter[:, :, None])[..., 0] + tail
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
         drive = absolute_product(series.response, drift.rad[:, None, :, None])[..., 0]
-    return LinearStep(z, duration, series.value, series.jacobian, drive, tail, end, added, truncation, proved & finite)
+        growth = growth_rate(prior, z.interval, states, duration)
+    sound = proved & finite
+    return LinearStep(z, duration, series.value, series.jacobian, drive, tail, end, added, truncation, sound, growth)
 
 
 def tightened(tape: Tape, box: Ball, prior: Ball, duration: Fraction) -> Ball:

@@ -52,7 +52,7 @@ def requirement_table(requirements: Sequence[RequirementResult]) -> list[str]:
         return []
     rows = [("requirement", "kind", "margin", "at", "outcome")]
     for entry in requirements:
-        when = "" if entry.time is None else f"{number(entry.time)} s"
+        when = "" if entry.time is None or not math.isfinite(entry.margin) else f"{number(entry.time)} s"
         outcome = "proved" if entry.proved else "not proved"
         facet = f", decided by `{entry.facet}`" if entry.facet and not entry.proved else ""
         rows.append((entry.name, entry.kind, margin_text(entry.margin), when, f"{outcome}{facet}"))

@@ -117,7 +117,7 @@ class Monitor:
         current = step if cells.size == len(begins) else step.select(cells)
         slabs = 1
         while True:
-            starts = [begins[cell] for cell in cells]
+            starts = [begins[cell] for cell in cells.tolist()]
             finest = 4 * slabs > self.options.slabs
             margin, worst, sets = self._slabs(current, slabs, starts, finest)
             proved = margin > 0.0
@@ -202,7 +202,7 @@ class Monitor:
                     self.failing[cell] = sets[[position]]
 
     def finish(self) -> None:
-        """The horizon's end was seen: without a proof by now, the requirement has failed; so has one nobody looked at."""
+        """The horizon's end was seen: without a proof by now (nobody may have looked), the requirement has failed."""
         unproved = ~((self.margin > 0.0) & np.isfinite(self.margin))
         fresh = unproved & ~self.failed
         self.failed_at[fresh] = self.time[fresh]
