@@ -106,7 +106,7 @@ def root(
     """Does a policy network keep a plant within its specification? A sound verdict, with its reason."""
 
 
-@app.command("verify")
+@app.command("verify", short_help="Verify a policy: VERIFIED, or UNKNOWN and why.")
 def verify_command(
     policy: PolicyArgument = None,
     spec: SpecOption = None,
@@ -146,7 +146,7 @@ def verify_command(
     return result.verdict.exit_code
 
 
-@app.command()
+@app.command(short_help="Verify for several perturbation radii at once.")
 def sweep(
     policy: PolicyArgument = None,
     spec: SpecOption = None,
@@ -251,7 +251,7 @@ def _simulated(
     return loop, run, simulation_to_json(loop, run, total, amounts)
 
 
-@app.command()
+@app.command(short_help="Print a commented specification to fill in.")
 def init(
     plant: Annotated[str, typer.Argument(metavar="PLANT", help="A shipped plant's name, or a plant file.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write to a file instead of stdout.")] = None,
@@ -272,7 +272,7 @@ def init(
     return OK
 
 
-@app.command()
+@app.command(short_help="List what is in a policy and what is not supported.")
 def inspect(
     policy: Annotated[Path, typer.Argument(metavar="POLICY", help="ONNX file.", show_default=False)],
     as_json: JsonOption = False,
@@ -290,7 +290,7 @@ def inspect(
     return OK
 
 
-@app.command()
+@app.command(short_help="Test this machine and print versions.")
 def doctor(as_json: JsonOption = False) -> int:
     """Test what the engine assumes about this machine, and print versions."""
     from .verify.doctor import examination_lines, examine
