@@ -43,11 +43,11 @@ def _require_window(context: Context, key: str, requirement: Requirement) -> Non
             "move the window or the horizon",
         )
     period = context.specification.controller.period
-    if context.plant.discrete and (end / period).__floor__() * period < start:
+    if (context.plant.discrete or requirement.kind == "reach") and (end / period).__floor__() * period < start:
         context.fail(
             key,
-            f"no step of the discrete-time plant is in [{shown(start)}, {shown(end)}]",
-            f"a step happens every {shown(period)}",
+            f"no sampling instant is in [{shown(start)}, {shown(end)}]",
+            f"one comes every {shown(period)}",
         )
 
 

@@ -101,6 +101,8 @@ class Period:
         Where the enclosure of this period exists.
     deployed_error : array, shape (B, m)
         e_L, already included in `computed`; zero when only exact arithmetic is covered.
+    growth : array, shape (B, len(SOURCES))
+        Ledger of growth up to this period's end; see `Cells`.
     """
 
     number: int
@@ -112,6 +114,7 @@ class Period:
     flow: PeriodFlow
     sound: Bools
     deployed_error: Array
+    growth: Array
 
 
 Observer = Callable[[Period], Bools]
@@ -213,6 +216,7 @@ class Engine:
             flow,
             flow.sound & finite,
             error,
+            growth,
         )
         return period, Cells(reduced, cells.observation_radius, cells.index, flow.substeps, growth, flow.rate)
 

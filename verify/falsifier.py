@@ -124,6 +124,8 @@ def violations(
     window = (times >= float(requirement.start) - slack) & (times <= float(requirement.end) + slack)
     if requirement.kind == "reach":
         window &= np.arange(times.size) % samples == 0
+    if not window.any():
+        return np.full(len(states), -np.inf), np.zeros(len(states), dtype=np.intp)
     depth = np.max([-_outside(member, states) for member in requirement.region], axis=0)  # > 0 inside
     amount = depth if requirement.kind == "avoid" else -depth
     amount = np.where(np.isnan(amount), -np.inf, amount)

@@ -98,7 +98,13 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball, rate: Array | None = N
                 break
             low, high = np.where(fits, low, new_low), np.where(fits, high, new_high)
         least[:, :states], most[:, :states] = result_low, result_high
-        return balls.hull(least, most), proved
+        found = balls.hull(least, most)
+    if rate is None or proved.all():
+        return found, proved
+    # a bad guess must not cost a proof that exists without it
+    again, proved_again = a_priori_enclosure(tape, box, step)
+    old = proved[:, None]
+    return Ball(np.where(old, found.mid, again.mid), np.where(old, found.rad, again.rad)), proved | proved_again
 
 
 def growth_rate(prior: Ball, box: Ball, states: int, duration: Fraction) -> Array:
@@ -138,7 +144,7 @@ def combine(weights: Ball, coefficients: Ball) -> Ball:
     shape = (weights.mid.shape[0], *coefficients.mid.shape[1:])
     mid, rad = coefficients.mid.reshape(terms, -1), coefficients.rad.reshape(terms, -1)
     size = np.abs(mid)
-    spread = weights.magnitude @ (rad + rounding.product_factor(terms) * size) + weights.rad @ size
+    spread = weights.magnitude @ (rad + rounding.sum_error(terms, size)) + weights.rad @ size
     return Ball((weights.mid @ mid).reshape(shape), rounding.enlarged(spread, terms + 8).reshape(shape))
 
 

@@ -26,7 +26,7 @@ class Step(Protocol):
 
     `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part
     of it that shorter steps would diminish, `sound` where the enclosure exists (B,), `rate` a guess for the next step
-    (2, B, n).
+    (2, B, n). The last generator of a time-interval set is time.
     """
 
     @property

@@ -87,7 +87,7 @@ def jet_product(space: JetSpace, a: Ball, b: Ball) -> Ball:
     right, right_rad = b.mid[..., space.right], b.rad[..., space.right]
     left_abs, right_abs = np.abs(left), np.abs(right)
     mid = np.add.reduceat(left * right, space.starts, axis=-1)
-    spread = left_abs * (right_rad + rounding.product_factor(8) * right_abs) + left_rad * (right_abs + right_rad)
+    spread = left_abs * (right_rad + rounding.sum_error(8, right_abs)) + left_rad * (right_abs + right_rad)
     return Ball(mid, rounding.enlarged(np.add.reduceat(spread, space.starts, axis=-1), 12))
 
 

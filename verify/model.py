@@ -58,6 +58,8 @@ def prepare(loop: ClosedLoop) -> Model:
     layers: list[Layer] = list(loop.policy.layers)
     if loop.before is not None:
         layers.insert(0, _affine_layer(loop.before))
+    if not layers:
+        layers = [Affine(np.eye(loop.policy.inputs), np.zeros(loop.policy.inputs))]
     if loop.after is not None:
         layers.append(_affine_layer(loop.after))
     clip = None

@@ -64,7 +64,7 @@ def worst_cost(z: Zonotope, weights: Ball, target: Ball) -> Array:
     -------
     array, shape (B,)
     """
-    used = np.flatnonzero(weights.upper > 0.0)
+    used = np.flatnonzero((weights.mid != 0.0) | (weights.rad != 0.0))
     if used.size == 0:
         return np.zeros(z.batch)
     # D = diag(w) (s - s*) restricted to the weighted states; then its largest 1-norm

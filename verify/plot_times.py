@@ -50,10 +50,11 @@ def draw_times(
 
 
 def _over_time(flowpipe: Flowpipe, state: int) -> Array:
-    """Time-interval boxes (cells, T, 2, 2) of one state, time first."""
+    """Time-interval boxes (cells, P, 2, 2) of one state, time first."""
     bounds = flowpipe.intervals[..., state]
-    start = flowpipe.period * np.arange(bounds.shape[1])
-    times = np.broadcast_to(np.stack([start, start + flowpipe.period], axis=-1), bounds.shape)
+    width = flowpipe.period * (flowpipe.points.shape[1] - 1) / bounds.shape[1]
+    start = width * np.arange(bounds.shape[1])
+    times = np.broadcast_to(np.stack([start, start + width], axis=-1), bounds.shape)
     return np.stack([times, bounds], axis=-1)
 
 

@@ -127,7 +127,7 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     boxed = boxed + rounding.relative_error(np.abs(trace).sum(-1), count + 2)
     # Hessian radius and the rounding of the two products that made M, as one interval matrix
     magnitude = np.abs(hessian.mid)
-    uncertain = hessian.rad + rounding.product_factor(2 * dimension + 6) * magnitude
+    uncertain = hessian.rad + rounding.sum_error(2 * dimension + 6, magnitude)
     inner = rounding.enlarged(np.abs(generators).sum(1), count)[:, None, :, None]
     outer = z.radius[:, None, :, None]
     whole = rounding.enlarged(inner + outer, 1)

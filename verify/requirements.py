@@ -59,12 +59,15 @@ class Monitor:
     failed: Bools
     failed_at: Array
     failing: dict[int, Zonotope]
-    discrete: bool = False
-    """The plant has time points only."""
+    by_points: bool = False
+    """Whether time-point sets decide; else time-interval sets do."""
 
     @classmethod
-    def create(cls, requirement: BoundRequirement, cells: int, options: Options, discrete: bool = False) -> Monitor:
-        """A monitor that has seen nothing."""
+    def create(
+        cls, requirement: BoundRequirement, cells: int, options: Options, period: Fraction, discrete: bool
+    ) -> Monitor:
+        """A monitor that has seen nothing; `period` is the control period, `discrete` means only its ends exist."""
+        instant = requirement.start == requirement.end and requirement.start % period == 0
         return cls(
             requirement,
             tuple(prepare_polytope(member) for member in requirement.region),
@@ -74,7 +77,7 @@ class Monitor:
             np.zeros(cells, dtype=bool),
             np.full(cells, np.nan),
             {},
-            discrete,
+            discrete or instant or requirement.kind == "reach",
         )
 
     @property
@@ -82,22 +85,16 @@ class Monitor:
         """Cells whose margin is a proof; complete only when the horizon's end was seen."""
         return (self.margin > 0.0) & np.isfinite(self.margin) & ~self.failed
 
-    @property
-    def _by_points(self) -> bool:
-        """Whether time-point sets decide; else time-interval sets do."""
-        window = self.requirement
-        return self.discrete or window.kind == "reach" or window.start == window.end
-
     def observe_start(self, start: Zonotope) -> None:
         """Look at the initial sets of all cells (time 0), unless the first time-interval set contains them anyway."""
         window = self.requirement
-        if window.start == 0 and (self._by_points or window.end == 0):
+        if window.start == 0 and self.by_points:
             self._record(np.arange(start.batch), self._points(start), np.zeros(start.batch), start)
 
     def observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
         """Look at time-point sets: reach, time-point windows, and everything of a discrete-time plant."""
         window = self.requirement
-        if not self._by_points:
+        if not self.by_points:
             return
         chosen = np.array([window.start <= time <= window.end for time in times], dtype=bool)
         if not chosen.any():
@@ -108,7 +105,7 @@ class Monitor:
     def observe_steps(self, index: Indices, begins: Sequence[Fraction], step: Step) -> None:
         """Look at the time-interval sets of integrator steps: coarse slabs first, finer ones where they are needed."""
         window = self.requirement
-        if self._by_points:
+        if self.by_points:
             return
         chosen = [window.start <= begin + step.duration and begin <= window.end for begin in begins]
         cells = np.flatnonzero(chosen)
@@ -193,8 +190,10 @@ class Monitor:
             first = np.isnan(self.time[cell])
             if first or (margin > self.margin[cell] if best else margin < self.margin[cell]):
                 self.margin[cell], self.time[cell] = margin, time
-                if best:
+                if best and not (margin > 0.0):
                     self.failing[cell] = sets[[position]]
+                elif best:
+                    self.failing.pop(cell, None)
             if not best and not (margin > 0.0):
                 self.failed[cell] = True
                 if not (self.failed_at[cell] <= time):

@@ -122,8 +122,8 @@ class Flowpipe:
     states : tuple of str
     points : array, shape (cells, T + 1, 2, n)
         Lower and upper bounds of the time-point sets; NaN after a failure.
-    intervals : array, shape (cells, T, 2, n)
-        The same of the time-interval sets; NaN for discrete-time plants.
+    intervals : array, shape (cells, P, 2, n)
+        The same of the time-interval sets, P a multiple of T: equal parts of the horizon. NaN for discrete-time plants.
     """
 
     period: float

@@ -50,6 +50,15 @@ def product_factor(terms: int) -> float:
     return (terms + 3) * UNIT
 
 
+def sum_error(terms: int, magnitude: Any) -> Any:
+    """What each factor of a product of sums has to carry: ``|fl(AB) - AB| <= |A| sum_error(k, |B|)`` for k terms.
+
+    The constant keeps the bound when g |b| would underflow while |a| is huge: an underflow error of 2^-1074 per product
+    is below |a| 2^-1000 for |a| > 2^-74, and below `TINY`, which every bound gets in the end, for smaller a.
+    """
+    return magnitude * product_factor(terms) + 2.0**-1000
+
+
 def product_error(terms: int, absolute: Any, columns: int = 1) -> Any:
     """Bound of ``|fl(AB) - AB|``, given ``absolute = fl(|A||B|)``; with ``absolute = fl(|A| fl(|B| 1))`` of its row
     sums.

@@ -89,12 +89,12 @@ def separation_margins(z: Zonotope, facets: Facets, weights: Array) -> Array:
     direction = weights @ facets.normals.mid
     # the float direction differs from C'y: rounding of this product and of the facets' coefficients
     blur = rounding.enlarged(
-        weights @ (facets.normals.rad + rounding.product_factor(count) * np.abs(facets.normals.mid)), count + 2
+        weights @ (facets.normals.rad + rounding.sum_error(count, np.abs(facets.normals.mid))), count + 2
     )
     size = z.interval.magnitude
     slack = (blur @ size[:, :, None])[..., 0] if blur.ndim == 3 else size @ blur.T
     level = weights @ facets.bounds.mid
-    level_error = weights @ (facets.bounds.rad + rounding.product_factor(count) * np.abs(facets.bounds.mid))
+    level_error = weights @ (facets.bounds.rad + rounding.sum_error(count, np.abs(facets.bounds.mid)))
     above = rounding.upper(level, rounding.enlarged(level_error, count + 2))
     least = -z.support(-direction)
     width = z.dimension + 2

@@ -208,7 +208,8 @@ def plan_of(tape: Tape) -> Plan:
 class _Convolution:
     """Convolutions of a group of pairs of series: gathered factors of all coefficients so far.
 
-    The radius of ``sum_j a_j b_(k-j)`` is ``sum_j |a| (rb + g |b|) + ra (|b| + rb)``, g the rounding factor of the sum.
+    The radius of ``sum_j a_j b_(k-j)`` is ``sum_j |a| (rb + g |b|) + ra (|b| + rb)``, g |b| the rounding of
+    the sum (`rounding.sum_error`).
     """
 
     def __init__(self, space: JetSpace, terms: int, count: int, batch: int) -> None:
@@ -217,7 +218,7 @@ class _Convolution:
         self.left, self.right = np.empty(shape), np.empty(shape)
         self.left_factors, self.right_factors = np.empty((2, *shape)), np.empty((2, *shape))
         # terms of the sum, and three roundings more for a weight, a divisor and the radius itself
-        self.sum_factor = rounding.product_factor(4 * terms + 3)
+        self.terms = 4 * terms + 3
 
     def put_left(self, k: int, data: Array, weight: float = 1.0) -> None:
         """Store coefficient k of the left factors, (2, count, B, C), times a small whole number."""
@@ -237,13 +238,12 @@ class _Convolution:
         else:
             np.multiply(gathered[0], signs, out=self.right[k])
         np.add(gathered[1], magnitude, out=self.right_factors[1, k])
-        magnitude *= self.sum_factor
-        np.add(gathered[1], magnitude, out=self.right_factors[0, k])
+        np.add(gathered[1], rounding.sum_error(self.terms, magnitude), out=self.right_factors[0, k])
 
     def sum(self, lowest: int, k: int, divisor: float = 1.0) -> Ball:
         """``sum_(j=lowest..k) left_j right_(k-j) / divisor``, shape (count, B, C).
 
-        The divisor's own rounding is one unit of the quotient, at most of the sum of magnitudes: `sum_factor` has it.
+        The divisor's own rounding is one unit of the quotient, at most of the sum of magnitudes: `terms` counts it.
         """
         stop = k - lowest
         right = self.right[stop::-1] if stop >= 0 else self.right[:0]

@@ -177,10 +177,7 @@ def explore(
     state = _first_cells(engine, problems, factors)
     doubted: set[int] = set()
     given_up: set[int] = set()
-    while state.open_cells.size:
-        if deadline.expired:
-            state.stopped = deadline.word
-            break
+    while state.open_cells.size and not deadline.expired:
         cells = state.open_cells[: options.batch]
         _run_batch(engine, initial, state, cells, observation_radii, deadline)
         failed = cells[state.status[cells] == FAILED]
@@ -189,13 +186,20 @@ def explore(
                 doubted.add(int(problem))
                 if doubt(int(problem), _extreme_factors(engine, state, failed[state.tree.problem[failed] == problem])):
                     given_up.add(int(problem))
-        if options.splits > 1 and factors and not deadline.expired:
+        if options.splits > 1 and factors and not _over(deadline):
             _cut(engine, state, failed[~np.isin(state.tree.problem[failed], list(given_up))], options.splits)
         state.status[np.isin(state.tree.problem, list(given_up)) & (state.status == OPEN)] = FAILED
         if progress is not None:
             progress(state)
     state.status[state.status == OPEN] = FAILED
+    if _over(deadline) and (state.status == FAILED).any():
+        state.stopped = deadline.word
     return state
+
+
+def _over(deadline: Deadline) -> bool:
+    """Whether time is up by now (it may have been left a moment ago)."""
+    return deadline.expired
 
 
 def _first_cells(engine: Engine, problems: int, factors: int) -> Exploration:
@@ -271,6 +275,7 @@ def _run_batch(
         watch.see(period)
         sound[index[period.sound]] += 1
         action, own = period.action.interval, cells[index]
+        state.growth[own] = period.growth
         state.action_lower[own] = np.minimum(state.action_lower[own], action.lower)
         state.action_upper[own] = np.maximum(state.action_upper[own], action.upper)
         state.deployed_error[own] = np.maximum(state.deployed_error[own], period.deployed_error)
@@ -287,20 +292,23 @@ def _run_batch(
     for monitor in watch.monitors:
         monitor.finish()
     proved = arrived.copy()
+    first_failure: dict[int, float] = {}
     for number, monitor in enumerate(watch.monitors):
         proved &= monitor.proved
         state.margins[cells, number] = np.where(arrived | monitor.failed, monitor.margin, -np.inf)
         state.times[cells, number] = monitor.time
         for local, place in monitor.failing.items():
-            state.failing.setdefault(int(cells[local]), (number, place))
+            earlier = first_failure.get(local, np.inf)
+            if monitor.failed[local] and not (monitor.failed_at[local] >= earlier):
+                first_failure[local] = float(monitor.failed_at[local])
+                state.failing[int(cells[local])] = (number, place)
     if watch.performance is not None:
         value, undiscounted = watch.performance.value()
         state.value[cells], state.undiscounted[cells] = value, undiscounted
-    state.growth[cells[final.index]] = final.growth
     state.reached[cells] = np.minimum(sound, watch.periods_before_failure())
     state.status[cells] = np.where(proved, PROVED, FAILED)
     for local in range(count):
-        if (proved[local] or whole[local]) and len(state.hulls) < MOST_HULLS:
+        if len(state.hulls) < MOST_HULLS:
             state.hulls[int(cells[local])] = watch.points[local], watch.intervals[local]
 
 
@@ -324,8 +332,7 @@ def _cut(engine: Engine, state: Exploration, cells: Indices, most: int) -> None:
     state.status[cells] = CUT
     for cell in cells:
         state.failing.pop(int(cell), None)
-        if tree.parent[cell] >= 0:
-            state.hulls.pop(int(cell), None)
+        state.hulls.pop(int(cell), None)
     state.tree = CellTree(
         np.concatenate([tree.lower, lower]),
         np.concatenate([tree.upper, upper]),

@@ -15,7 +15,7 @@ from ..models.binding import bind
 from ..models.closed_loop import ClosedLoop, Plant
 from ..models.onnx_reader import read_policy
 from ..models.policy import Policy
-from ..specs.errors import SetrlError, UsageError
+from ..specs.errors import InputError, SetrlError, UsageError
 from ..specs.reader import find_specification, read_specification
 from ..specs.specification import Specification
 from .closed_loop import Engine
@@ -117,13 +117,17 @@ def verify_radii(
         raise UsageError("at least one perturbation radius is required")
     options = options or Options()
     network, contract = load(policy, specification)
+    if not contract.requirements and contract.reward is None:
+        raise InputError("a specification needs a requirement or a reward", remedy="say what has to hold")
     loops = tuple(bind(contract, network, plant, radius) for radius in radii)
     deadline = deadline or Deadline.after(options.timeout)
     loaded = time.perf_counter()
     job = _Job(loops, options)
     found, candidates = _explore(job, deadline, progress)
     refused = [_ill_conditioned(job, found, problem) for problem in range(len(loops))]
-    if options.deployed and any(refused) and not deadline.expired:
+    # what is proved with e_L added is proved without; only the rest of a refused network is worth a second run
+    unproved = [bool(found.cells_of(problem, FAILED).size) for problem in range(len(loops))]
+    if options.deployed and any(np.logical_and(refused, unproved)) and not deadline.expired:
         # decided for exact arithmetic all the same, for every radius alike
         job = _Job(loops, replace(options, deployed=False))
         exact, exact_candidates = _explore(job, deadline, progress)
@@ -133,7 +137,8 @@ def verify_radii(
     timings = {"load": loaded - started, "reachability": finished - loaded}
     results = []
     for problem, loop in enumerate(loops):
-        chosen, some = (exact, exact_candidates) if refused[problem] else (found, candidates)
+        again = refused[problem] and unproved[problem]
+        chosen, some = (exact, exact_candidates) if again else (found, candidates)
         semantics = ["real"]
         notes = []
         if options.deployed and not refused[problem]:
@@ -200,9 +205,8 @@ def _result(
     leaves = found.cells_of(problem, PROVED, FAILED)
     # positive polarity: every leaf of the cover was proved, and there is a cover
     everything = leaves.size > 0 and bool((found.status[leaves] == PROVED).all())
-    verified = everything and candidate is None and not found.stopped
-    has_claim = bool(loop.requirements) or loop.reward is not None
-    verdict = Verdict.VERIFIED if verified and has_claim else Verdict.UNKNOWN
+    verified = everything and candidate is None
+    verdict = Verdict.VERIFIED if verified else Verdict.UNKNOWN
     value = _value(loop, found, problem, leaves)
     cells = int((found.tree.problem == problem).sum())
     return Result(
@@ -280,7 +284,7 @@ def _flowpipe(loop: ClosedLoop, found: Exploration, leaves: NDArray[np.intp], pr
     ]
     states = len(loop.plant.states)
     points = np.array([k[0] for k in kept]).reshape(len(kept), loop.periods + 1, 2, states)
-    intervals = np.array([k[1] for k in kept]).reshape(len(kept), loop.periods, 2, states)
+    intervals = np.array([k[1] for k in kept]).reshape(len(kept), -1, 2, states)
     return Flowpipe(float(loop.period), loop.plant.states, points, intervals)
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.closed_loop import ClosedLoop
+from . import rounding
+from .balls import Ball
 from .closed_loop import Period
 from .integrator import Step
 from .options import Options
@@ -29,6 +31,23 @@ ENOUGH_SETS = 32
 """Sets that make a check worth its overhead."""
 
 
+PARTS = 4
+"""Hulls that are kept per control period: a box around a whole period of motion is too coarse a picture."""
+
+
+def _part_of(whole: Zonotope, low: Fraction, high: Fraction) -> Ball:
+    """Enclosing interval of a part of a time-interval set, whose last generator is time.
+
+    `low` and `high` are the part's ends as shares of the step.
+    """
+    time = whole.generators[:, -1]
+    middle, half = float(low + high) - 1.0, float(high - low)  # exact: quotients of powers of two
+    center = whole.center + middle * time
+    others = rounding.enlarged(np.abs(whole.generators[:, :-1]).sum(1) + whole.radius, whole.generators.shape[1])
+    spread = others + half * np.abs(time) + rounding.relative_error(middle * time, 1)
+    return Ball(center, rounding.enlarged(spread + rounding.relative_error(center, 1), 4))
+
+
 @dataclass
 class Watch:
     """Observes one batch of cells.
@@ -40,8 +59,8 @@ class Watch:
     performance : Performance or None
     points : array, shape (cells, T + 1, 2, n)
         Hulls of the time-point sets, NaN where there is none.
-    intervals : array, shape (cells, T, 2, n)
-        Hulls of the time-interval sets.
+    intervals : array, shape (cells, T * PARTS, 2, n)
+        Hulls of the time-interval sets, PARTS per period.
     """
 
     loop: ClosedLoop
@@ -61,7 +80,8 @@ class Watch:
         hull = start.interval
         points[:, 0] = np.stack([hull.lower, hull.upper], 1)
         monitors = [
-            Monitor.create(requirement, cells, options, loop.plant.discrete) for requirement in loop.requirements
+            Monitor.create(requirement, cells, options, loop.period, loop.plant.discrete)
+            for requirement in loop.requirements
         ]
         for monitor in monitors:
             monitor.observe_start(start)
@@ -70,7 +90,7 @@ class Watch:
             monitors,
             None if loop.reward is None else Performance.create(loop.reward, cells, loop.periods),
             points,
-            np.full((cells, loop.periods, 2, states), np.nan),
+            np.full((cells, loop.periods * PARTS, 2, states), np.nan),
         )
 
     def see(self, period: Period) -> None:
@@ -113,11 +133,18 @@ class Watch:
         begins = [entry[1] for entry in entries for _ in range(entry[0].size)]
         for monitor in self.monitors:
             monitor.observe_steps(index, begins, step)
+        width = self.loop.period / PARTS
+        offset = begins[0] % self.loop.period  # the same for all: steps of the same position and duration
         numbers = np.array([int(begin // self.loop.period) for begin in begins], dtype=np.intp)
-        hull = step.time_intervals(1)[0].interval
-        known = self.intervals[index, numbers]
-        self.intervals[index, numbers, 0] = np.fmin(known[:, 0], hull.lower)
-        self.intervals[index, numbers, 1] = np.fmax(known[:, 1], hull.upper)
+        whole = step.time_intervals(1)[0]
+        for part in range(PARTS):
+            low, high = max(offset, width * part), min(offset + step.duration, width * (part + 1))
+            if low < high:
+                hull = _part_of(whole, (low - offset) / step.duration, (high - offset) / step.duration)
+                place = numbers * PARTS + part
+                known = self.intervals[index, place]
+                self.intervals[index, place, 0] = np.fmin(known[:, 0], hull.lower)
+                self.intervals[index, place, 1] = np.fmax(known[:, 1], hull.upper)
 
     @property
     def failed(self) -> Bools:

@@ -119,11 +119,10 @@ def linear_map(z: Zonotope, weight: Ball, bias: Ball, row_sums: Array | None = N
     generators = z.generators @ transposed
     center = (z.center[:, None, :] @ transposed)[:, 0] + bias.mid
     terms, count = z.dimension, z.generators.shape[-2]
-    factor = rounding.product_factor(terms + 2)
     sums = np.abs(z.generators).sum(-2) if row_sums is None else row_sums
     size = rounding.enlarged(sums + np.abs(z.center), count + 1)
-    inner = z.radius + factor * size
-    radius = (inner[:, None, :] @ absolute)[:, 0] + factor * np.abs(bias.mid) + bias.rad
+    inner = z.radius + rounding.sum_error(terms + 2, size)
+    radius = (inner[:, None, :] @ absolute)[:, 0] + rounding.sum_error(terms + 2, np.abs(bias.mid)) + bias.rad
     if weight.rad.any():
         radius = radius + ((size + z.radius)[:, None, :] @ np.swapaxes(weight.rad, -1, -2))[:, 0]
     return Zonotope(center, generators, rounding.enlarged(radius, terms + 8))
