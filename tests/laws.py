@@ -6,6 +6,7 @@ engine function through its module, so that a replaced function is the one that 
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -17,12 +18,14 @@ from scipy.integrate import solve_ivp
 
 from setrl.models.closed_loop import ClosedLoop
 from setrl.models.float_algebra import FloatAlgebra
+from setrl.models.onnx_runtime import deployed_runner
 from setrl.models.policy import Activation, activate, forward
 from setrl.models.sampling import corner_states, sample_disturbances, sample_noise, uniform_states
 from setrl.models.simulation import act, observe, returns, simulate
 from setrl.models.tape import Tape, run
 from setrl.verify import (
     closed_loop,
+    deployed,
     flow,
     integrator,
     network,
@@ -647,16 +650,14 @@ def law_nan_never_proves(case: LoopCase) -> None:
 
 
 def watched(loop: ClosedLoop, options: Options, z: Zonotope) -> Any:
-    """What is found of a loop whose reachable set is always the same."""
+    """What is found of a loop whose reachable set is always the same; everything else is as in a real run."""
+    engine, initial = engine_of(loop, options)
+    real, _ = engine.advance(0, first_cells(engine, initial))
     watcher = watch.Watch.over(loop, options, z)
-    one = np.array([0])
+    steps = () if loop.plant.discrete else (Frozen(z, loop.period),)
+    joint = replace(real.flow, groups=(integrator.StepGroup(np.array([0]), steps),), end=z)
     for number in range(loop.periods):
-        steps = () if loop.plant.discrete else (Frozen(z, loop.period),)
-        sound = np.array([True])
-        joint = integrator.PeriodFlow(
-            (integrator.StepGroup(one, steps),), z, np.zeros_like(z.center), sound, np.zeros(1, dtype=np.intp)
-        )
-        watcher.see(closed_loop.Period(number, one, z, z, z, z, joint, sound, np.zeros((1, 1))))
+        watcher.see(replace(real, number=number, start=z, end=z, flow=joint))
     watcher.flush()
     for monitor in watcher.monitors:
         monitor.finish()
@@ -764,3 +765,123 @@ def law_close_below(value: float, truth: float, relative: float) -> None:
     """A lower bound, and a tight one."""
     assert value <= truth + 1e-13 * abs(truth), f"V is {value}, above {truth}"
     assert value >= truth - relative * abs(truth), f"V is {value}, far below {truth}"
+
+
+# Deployed arithmetic ------------------------------------------------------------------------------------------------
+
+
+def real_forward(layers: Sequence[Any], point: Array) -> list[Any]:
+    """Exact forward pass of one point as balls of 200 bits."""
+    import flint
+
+    flint.ctx.prec = 200
+    values = [flint.arb(float(x)) for x in point]
+    for layer in layers:
+        if isinstance(layer, Activation):
+            values = [real_activation(layer, value) for value in values]
+        else:
+            values = [
+                sum((flint.arb(float(w)) * v for w, v in zip(row, values, strict=True)), flint.arb(float(b)))
+                for row, b in zip(layer.weight, layer.bias, strict=True)
+            ]
+    return values
+
+
+def real_activation(activation: Activation, value: Any) -> Any:
+    """An activation of a thin ball."""
+    import flint
+
+    match activation.kind:
+        case "relu":
+            return value.max(flint.arb(0))
+        case "leaky_relu":
+            return value.max(flint.arb(0)) + flint.arb(activation.slope) * value.min(flint.arb(0))
+        case "clip":
+            low = value.max(flint.arb(activation.lower)) if np.isfinite(activation.lower) else value
+            return low.min(flint.arb(activation.upper)) if np.isfinite(activation.upper) else low
+        case "tanh":
+            return value.tanh()
+    return 1 / (1 + (-value).exp())
+
+
+def law_deployed(policy: Any, lower: Array, upper: Array, count: int = 60, seed: int = 0) -> float:
+    """The runtime differs from exact arithmetic by at most e_L, in batches of any size; the largest share of it."""
+    import flint
+
+    generator = np.random.default_rng(seed)
+    points = generator.uniform(lower, upper, size=(count, len(lower)))
+    points[: count // 3] = np.where(generator.random((count // 3, len(lower))) < 0.5, lower, upper)
+    z = zonotope.from_box(np.array([lower]), np.array([upper]))
+    bounds = network.enclose_layers(policy.layers, z).bounds
+    error = deployed.deployed_error(policy.layers, bounds, policy.precision)[0]
+    runner = deployed_runner(policy)
+    share = 0.0
+    for size in (count, 1, 7):
+        outputs = np.concatenate([runner(points[i : i + size]) for i in range(0, count, size)])
+        for point, output in zip(points, outputs, strict=True):
+            for value, exact, most in zip(output, real_forward(policy.layers, point), error, strict=True):
+                distance = abs(flint.arb(float(value)) - exact)
+                assert distance <= flint.arb(float(most)), f"off by {distance}, claimed {most}"
+                share = max(share, float(distance.mid()) / float(most))
+    return share
+
+
+# Planted violations -------------------------------------------------------------------------------------------------
+
+
+def planted_boundary(loop: ClosedLoop, line: Array, seed: int, rounds: int = 6, count: int = 60) -> float:
+    """The largest ``line . x(T)`` that sampling and local search find."""
+    generator = np.random.default_rng(seed)
+    bounds = np.array([[float(low), float(high)] for low, high in loop.initial])
+    radius = np.array([float(r) for r in loop.observation_radius])
+    starts = np.concatenate([corner_states(loop, count // 2), uniform_states(loop, count - count // 2, generator)])
+    count = len(starts)
+    noise = sample_noise(loop, "corner", count, generator)
+    forces = sample_disturbances(loop, "corner", count, generator)
+    best = -np.inf
+    for turn in range(rounds):
+        run_ = simulate(loop, starts, noise, forces, rtol=1e-11, atol=1e-13)
+        reached = run_.states[:, -1] @ line
+        top = np.argsort(-reached)[: max(count // 8, 1)]
+        best = max(best, float(reached[top[0]]))
+        parents = top[generator.integers(0, len(top), count)]
+        parents[: len(top)] = top
+        spread = 0.5**turn
+        change = generator.normal(size=starts.shape) * (bounds[:, 1] - bounds[:, 0]) * spread * 0.3
+        flips = generator.random(noise.shape) < 0.3 * spread
+        starts = np.clip(starts[parents] + change, bounds[:, 0], bounds[:, 1])
+        noise = np.where(flips, -noise[parents], noise[parents])
+        noise = np.clip(noise, -radius, radius)
+        again = sample_disturbances(loop, "corner", count, generator)
+        held = generator.random((count, 1, 1)) < 0.7
+        forces = np.where(held, forces[parents], again)
+    return best
+
+
+def law_never_verified(loop: ClosedLoop, options: Options) -> None:
+    """The engine alone, without the falsifier, does not prove every cell of a violated specification."""
+    engine, _ = engine_of(loop, options)
+    with np.errstate(all="ignore"):
+        found = splitting.explore(engine, observation_radius(loop)[None], Deadline.after(None))
+    leaves = found.status != splitting.CUT
+    assert not (found.status[leaves] == splitting.PROVED).all(), "a violated requirement was proved"
+
+
+def law_deadline(loop: ClosedLoop, limit: float) -> None:
+    """A run that needs longer stops within a tenth of its limit, or one batch."""
+    from setrl import verify
+
+    moments: list[float] = []
+    started = time.monotonic()
+    with np.errstate(all="ignore"):
+        result = verify(
+            loop.policy,
+            loop.specification,
+            options=Options(batch=2, splits=10**6),
+            progress=lambda state: moments.append(time.monotonic()),
+            deadline=Deadline.after(limit),
+        )
+    elapsed = time.monotonic() - started
+    assert result.reason is not None, "the run was not stopped"
+    longest = max(np.diff([started, *moments]))
+    assert 0.9 * limit <= elapsed <= 1.1 * limit + longest + 0.1, f"{elapsed} s instead of {limit}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -11,7 +10,7 @@ import cases
 import laws
 import numpy as np
 import pytest
-from cases import F, flow_case, loop_cases, reward_of, shipped, small_policy
+from cases import F, flow_case, loop_cases, reward_of, shipped, small_policy, splitting_problem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from laws import FlowCase, LoopCase, random_set
@@ -345,19 +344,6 @@ def test_cells_contain_their_boxes_and_children_cover_their_parent(data: Any) ->
     assert all(e <= F(float(x)) for e, x in zip(exact, low, strict=True))
 
 
-def splitting_problem(bound: str = "2", width: str = "0.3") -> Any:
-    """The pendulum under a steep network, from a box that needs some cuts."""
-    specification = specification_of(
-        "pendulum",
-        {"theta": (F("0.4") - F(width), F("0.4") + F(width)), "thetadot": (-F(width), F(width))},
-        periods=8,
-        observation="0.005",
-        requirements=[requirement("stay", box_region(theta=("-1.5", bound)), 0, F("0.8"))],
-        reward=reward_of({"theta": "1"}),
-    )
-    return loop_of(network([2, 8, 1], ["tanh", "none"], 1, 2.0), specification)
-
-
 def test_the_leaves_of_a_proof_cover_the_initial_set() -> None:
     loop = splitting_problem()
     engine, initial = laws.engine_of(loop, Options(splits=400))
@@ -604,22 +590,29 @@ def test_v_of_a_linear_loop_is_the_closed_form(epsilon: str, tmp_path: Any) -> N
 
 
 def test_a_time_limit_is_honoured_within_a_tenth_or_one_batch() -> None:
-    loop, limit = splitting_problem("0.8"), 0.5
-    moments: list[float] = []
-    started = time.monotonic()
-    with np.errstate(all="ignore"):
-        result = verify(
-            loop.policy,
-            loop.specification,
-            options=Options(batch=2, splits=10**6),
-            progress=lambda state: moments.append(time.monotonic()),
-            deadline=Deadline.after(limit),
-        )
-    elapsed = time.monotonic() - started
-    assert result.verdict is Verdict.UNKNOWN and result.reason is not None
-    assert "time limit" in result.reason.sentence, result.reason.sentence
-    longest = max(np.diff([started, *moments]))
-    assert 0.9 * limit <= elapsed <= 1.1 * limit + longest + 0.1
+    laws.law_deadline(splitting_problem("0.8"), 0.5)
+
+
+class ExpiresInTheFirstBatch(Deadline):
+    """Not expired when it is asked for the first time, expired from then on."""
+
+    questions = 0
+
+    @property
+    def expired(self) -> bool:
+        self.questions += 1
+        return self.questions > 1
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="explore sets `stopped` only at the top of its loop: not where the last open batch was cut short",
+)
+def test_a_run_that_was_cut_short_says_so() -> None:
+    loop = splitting_problem("0.8")
+    deadline = ExpiresInTheFirstBatch(None)
+    result = verify(loop.policy, loop.specification, deadline=deadline)
+    assert result.reason is not None and "time limit" in result.reason.sentence, result.reason
 
 
 def test_an_interrupted_run_is_unknown() -> None:
