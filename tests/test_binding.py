@@ -227,7 +227,7 @@ def test_a_policy_with_the_wrong_number_of_outputs_is_refused() -> None:
 def test_a_window_between_the_steps_of_a_discrete_plant_is_refused() -> None:
     plant = compile_plant(replace(CART, discrete=True))
     assert bind(specification(requirements=(requirement(start="0.15", end="0.2"),)), policy(), plant)
-    with pytest.raises(SpecificationError, match="no step of the discrete-time plant"):
+    with pytest.raises(SpecificationError, match="no sampling instant is in"):
         bind(specification(requirements=(requirement(start="0.15", end="0.19"),)), policy(), plant)
 
 

@@ -27,6 +27,7 @@ from .reason import explain
 from .result import Flowpipe, RequirementResult, Result, Value, Verdict
 from .separation import containment_margins, facet_separation, prepare_polytope
 from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
+from .watch import PARTS
 from .wording import claim_sentence
 
 Array = NDArray[np.float64]
@@ -284,7 +285,7 @@ def _flowpipe(loop: ClosedLoop, found: Exploration, leaves: NDArray[np.intp], pr
     ]
     states = len(loop.plant.states)
     points = np.array([k[0] for k in kept]).reshape(len(kept), loop.periods + 1, 2, states)
-    intervals = np.array([k[1] for k in kept]).reshape(len(kept), -1, 2, states)
+    intervals = np.array([k[1] for k in kept]).reshape(len(kept), loop.periods * PARTS, 2, states)
     return Flowpipe(float(loop.period), loop.plant.states, points, intervals)
 
 
