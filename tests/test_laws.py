@@ -604,10 +604,6 @@ class ExpiresInTheFirstBatch(Deadline):
         return self.questions > 1
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="explore sets `stopped` only at the top of its loop: not where the last open batch was cut short",
-)
 def test_a_run_that_was_cut_short_says_so() -> None:
     loop = splitting_problem("0.8")
     deadline = ExpiresInTheFirstBatch(None)

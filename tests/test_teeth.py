@@ -222,7 +222,7 @@ def no_error(deployed_error: Any, *arguments: Any) -> Any:
     return 0.0 * deployed_error(*arguments)
 
 
-def cast_only(affine: Any, layer: Any, size: Any, error: Any, unit: float, smallest: float) -> Any:
+def cast_only(affine: Any, layer: Any, size: Any, error: Any, *rest: Any) -> Any:
     return error @ np.abs(layer.weight).T
 
 
