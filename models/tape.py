@@ -7,7 +7,7 @@ tensors and balls. An algebra is an object with the methods that `run` calls; it
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, Protocol, TypeVar
 
@@ -62,6 +62,14 @@ class Tape:
     inputs: tuple[str, ...]
     instructions: tuple[Instruction, ...]
     outputs: tuple[int, ...]
+    _hash: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # what is derived from a tape is cached by the tape, in hot loops: its constants are hashed once
+        object.__setattr__(self, "_hash", hash((self.inputs, self.instructions, self.outputs)))
+
+    def __hash__(self) -> int:
+        return self._hash
 
 
 class _Compiler:

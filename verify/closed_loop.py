@@ -311,16 +311,21 @@ class Engine:
     ) -> Array:
         """Ledger of growth: how much each source added in this period, relative to the set's extent. Not a bound."""
         states = self.model.states
-        extent = scale[:, :states]
+        share = 1.0 / (states * scale[:, :states])
+
+        def relative(added: Array) -> Array:
+            """Mean over the states, in units of the set's extent."""
+            return np.einsum("bn,bn->b", added, share)  # type: ignore[no-any-return]
+
         size = np.abs(end.generators)
-        action_rows = computed.generators.shape[1] - shared
-        private = (size[:, shared : shared + action_rows].sum(1) / extent).mean(1)
-        disturbed = size[:, shared + action_rows : shared + action_rows + self.model.varying.size].sum(1)
+        merged = computed.generators.shape[1]
+        varying = merged + self.model.varying.size
+        private = relative(size[:, shared:merged].sum(1))
         growth = cells.growth.copy()
-        growth[:, 0] = (size[:, : self.protected].sum(1) / extent).mean(1)
+        growth[:, 0] = relative(size[:, : self.protected].sum(1))
         growth[:, 1] += private * noise_share
-        growth[:, 2] += (disturbed / extent).mean(1)
+        growth[:, 2] += relative(size[:, merged:varying].sum(1))
         growth[:, 3] += private * (1.0 - noise_share)
-        growth[:, 4] += (flow.added / extent).mean(1)
-        growth[:, 5] += (boxed[:, :states] / extent).mean(1)
+        growth[:, 4] += relative(flow.added)
+        growth[:, 5] += relative(boxed[:, :states])
         return growth

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..models.tape import Tape, run
 from . import balls, rounding
 from .balls import Ball, BallAlgebra
-from .quadratic_map import enclose_map
+from .quadratic_map import enclose_map, half_quadratic
 from .series import flow_jets, map_jets, plan_of
 from .zonotope import Zonotope, append_rows, concatenate, linear_map, stack_cells
 
@@ -353,14 +353,13 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int,
     JetStep
     """
     states, dimension = len(tape.outputs), z.dimension
-    box = z.interval
-    prior, proved = a_priori_enclosure(tape, box, balls.rational(duration), rate)
+    box, weights = z.interval, step_weights(duration, order + 1)
+    prior, proved = a_priori_enclosure(tape, box, weights[0, 1], rate)
     with np.errstate(invalid="ignore", over="ignore"):
         plan = plan_of(tape)
         used = plan.used
         center, over_box, prior_jets = _three_jets(tape, z, box, prior, order, used)
         remainder = prior_jets[order, ..., 0]
-        weights = step_weights(duration, order + 1)
         value = center[:order, ..., 0]
         jacobian = _spread_columns(center[:order, ..., 1 : 1 + used.size], used, dimension)
         jacobian.mid[0, :, plan.unused_states, plan.unused_states] = 1.0
@@ -397,7 +396,7 @@ def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
     drift = delta * combine(weights.velocity, step.jacobian).magnitude
     drift = drift + bend * largest(weights.second_derivative, step.jacobian)
     extra = extra + (drift @ spread[:, :, None])[..., 0]
-    extra = extra + _half_quadratic(largest(weights.last, step.hessian), spread[:, step.variables])
+    extra = extra + half_quadratic(largest(weights.last, step.hessian), spread[:, step.variables])
     extra = extra + step.remainder.magnitude * weights.remainder[:, None, None]
     extra = rounding.enlarged(extra, 4 * spread.shape[1] + 24)
     deviation = replace(start, center=np.zeros_like(start.center))
@@ -407,10 +406,3 @@ def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
         radius = rounding.enlarged(linear.radius + extra[part], 1)
         result.append(append_rows(Zonotope(linear.center, linear.generators, radius), time_rows[part][:, None, :]))
     return result
-
-
-def _half_quadratic(curvature: Array, spread: Array) -> Array:
-    """1/2 a' |H| a for packed |H| of shape (..., B, n, d (d + 1)/2): off-diagonal entries count twice."""
-    rows, columns = np.triu_indices(spread.shape[1])
-    weight = spread[:, rows] * spread[:, columns] * np.where(rows == columns, 0.5, 1.0)
-    return rounding.enlarged((curvature @ weight[:, :, None])[..., 0], rows.size + 6)  # type: ignore[no-any-return]

@@ -148,9 +148,11 @@ def integrate(
             chosen = np.flatnonzero(final)
             done = cells[chosen]
             rates[:, done] = steps[-1].rate[:, chosen]
-            everything = chosen.size == cells.size
-            groups.append(StepGroup(done, steps if everything else tuple(s.select(chosen) for s in steps)))
-            results.append((done, end[chosen], added[chosen], sound[chosen]))
+            if chosen.size < cells.size:
+                steps = tuple(step.select(chosen) for step in steps)
+                end, added, sound = end[chosen], added[chosen], sound[chosen]
+            groups.append(StepGroup(done, steps))
+            results.append((done, end, added, sound))
             easy = (truncation[chosen] <= 2.0**-decay * allowed[chosen]).all(1)
             following[done] = np.maximum(current - easy, 0)
         level[cells[~final]] += 1
@@ -198,10 +200,8 @@ def _assemble(
     results: list[tuple[Indices, Zonotope, Array, Bools]], joint: Zonotope, states: int
 ) -> tuple[Zonotope, Array, Bools]:
     """Put the groups' results back into the order of the batch."""
-    if len(results) == 1 and results[0][0].size == joint.batch:
-        order = np.argsort(results[0][0])
-        _, end, added, sound = results[0]
-        return end[order], added[order], sound[order]
+    if len(results) == 1:  # all cells, in their order
+        return results[0][1:]
     rows = max(end.generators.shape[1] for _, end, _, _ in results)
     order = np.argsort(np.concatenate([cells for cells, _, _, _ in results]))
     end = Zonotope(

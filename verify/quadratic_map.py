@@ -64,20 +64,34 @@ def enclose_map(
     """
     image = linear_map(replace(z, center=np.zeros_like(z.center)), jacobian, value)
     added_rows = np.zeros((z.batch, rows, image.dimension))
-    magnitude = np.abs(hessian.mid) + hessian.rad
-    outputs = np.flatnonzero(magnitude.any((0, 2)))
+    magnitude = hessian.magnitude
+    # a structural zero carries rounding terms: too small to be worth products, it is bounded as a whole
+    curved = np.asarray((magnitude > NEGLIGIBLE).any((0, 2)))
+    added = half_quadratic(magnitude, z.spread[:, variables])
+    outputs = np.flatnonzero(curved)
     if not outputs.size:
-        return replace(image, generators=np.concatenate([image.generators, added_rows], 1)), np.zeros_like(image.center)
+        generators = np.concatenate([image.generators, added_rows], 1)
+        return Zonotope(image.center, generators, rounding.enlarged(image.radius + added, 1)), added
     index = _full_index(variables.size)
     full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
     shift, new, boxed = _quadratic_form(full, _largest_rows(z.coordinates(variables)), rows)
     center = image.center.copy()
     center[:, outputs] += shift
     added_rows[:, :, outputs] = new
-    added = np.zeros_like(image.radius)
     added[:, outputs] = rounding.enlarged(boxed + rounding.relative_error(center[:, outputs], 1), 2)
     generators = np.concatenate([image.generators, added_rows], 1)
     return Zonotope(center, generators, rounding.enlarged(image.radius + added, 1)), added
+
+
+NEGLIGIBLE = 2.0**-600
+"""Hessians below this are bounded by 1/2 a' |H| a instead of product by product."""
+
+
+def half_quadratic(curvature: Array, spread: Array) -> Array:
+    """1/2 a' |H| a for packed |H| of shape (..., B, n, d (d + 1)/2): off-diagonal entries count twice."""
+    rows, columns = _pairs(spread.shape[1])
+    weight = spread[:, rows] * spread[:, columns] * np.where(rows == columns, 0.5, 1.0)
+    return rounding.enlarged((curvature @ weight[:, :, None])[..., 0], rows.size + 6)  # type: ignore[no-any-return]
 
 
 MOST_FACTORS = 24
