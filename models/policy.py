@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Affine:
     """``y = weight @ x + bias``, each layer one (or one fused) operator of the file.
 
-    Never composed with its neighbours, so that the numbers are exactly the stored ones.
+    Never composed with its neighbours, so that the numbers are exactly the stored ones. Compared and hashed by
+    identity: what is derived from a layer is cached by the layer.
 
     Attributes
     ----------

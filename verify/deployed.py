@@ -15,6 +15,7 @@ A float64 network uses u = 2^-53 in the same formulas.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,18 +68,28 @@ def _affine(layer: Affine, size: Array, error: Array, precision: str) -> Array:
     A number that the runtime's precision cannot represent (maps of the specification), or that only bounds the file's,
     is rounded once more: its error counts twice, for the rounding and for the distance from the exact number.
     """
-    unit, smallest, _ = PRECISIONS[precision]
-    terms = layer.weight.shape[1] + 1
-    weight, bias = np.abs(layer.weight), np.abs(layer.bias)
-    summation = rounding.enlarged(np.float64(terms * unit / (1.0 - terms * unit)), 6)
+    smallest = PRECISIONS[precision][1]
+    terms, factor, weight, bias, weight_error, bias_error = _constants(layer, precision)
     # denormal products, sums, inputs and weights may be flushed to zero
-    propagated = (error + smallest) @ weight.T + summation * (size @ weight.T + bias)
+    propagated = (error + smallest) @ weight.T + factor * (size @ weight.T + bias)
     propagated = propagated + terms * smallest + smallest * size.sum(-1, keepdims=True)
-    weight_error = _conversion_error(layer.weight, layer.weight_error, precision)
-    bias_error = _conversion_error(layer.bias, layer.bias_error, precision)
-    if weight_error.any() or bias_error.any():
+    if weight_error is not None:
         propagated = propagated + rounding.enlarged(size + error, 1) @ weight_error.T + bias_error
     return rounding.enlarged(propagated, terms + 12)  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=256)
+def _constants(layer: Affine, precision: str) -> tuple[int, float, Array, Array, Array | None, Array]:
+    """Terms of a sum, its rounding factor g, |W|, |b|, and the conversion errors of W (None where all are 0) and b."""
+    unit = PRECISIONS[precision][0]
+    terms = layer.weight.shape[1] + 1
+    if not terms * unit < 0.5:
+        raise AssertionError(f"a sum of {terms} terms in {precision} has no error bound")
+    factor = float(rounding.enlarged(np.float64(terms * unit / (1.0 - terms * unit)), 6))
+    weight_error = _conversion_error(layer.weight, layer.weight_error, precision)
+    bias_error = _conversion_error(layer.bias, layer.bias_error, precision)
+    converted = weight_error if weight_error.any() or bias_error.any() else None
+    return terms, factor, np.abs(layer.weight), np.abs(layer.bias), converted, bias_error
 
 
 def _conversion_error(stored: Array, error: Array | None, precision: str) -> Array:

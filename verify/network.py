@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ class NetworkEnclosure:
     bounds: tuple[LayerBounds, ...]
 
 
+@lru_cache(maxsize=256)
 def affine_weights(layer: Affine) -> tuple[Ball, Ball]:
     """Weight and bias of a layer as balls (the radius is not zero where the file's number is not a float)."""
     weight = exact(layer.weight) if layer.weight_error is None else Ball(layer.weight, layer.weight_error)
