@@ -490,7 +490,7 @@ TEETH = [
         constant(flow, "append_rows", lambda z, rows: z),
         thin_between,
     ),
-    Tooth("between-curvature-dropped", wrapped(flow, "_half_quadratic", without_quadratic_drift), wide_between),
+    Tooth("between-curvature-dropped", wrapped(flow, "half_quadratic", without_quadratic_drift), wide_between),
     Tooth("orders-remainder-dropped", wrapped(flow, "flow_jets", without_remainder), orders_law),
     Tooth(
         "period-off-by-one",
