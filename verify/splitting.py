@@ -182,7 +182,7 @@ def explore(
         _run_batch(engine, initial, state, cells, observation_radii, deadline)
         failed = cells[state.status[cells] == FAILED]
         for problem in np.unique(state.tree.problem[failed]):
-            if doubt is not None and int(problem) not in doubted:
+            if doubt is not None and int(problem) not in doubted and not _over(deadline):
                 doubted.add(int(problem))
                 if doubt(int(problem), _extreme_factors(engine, state, failed[state.tree.problem[failed] == problem])):
                     given_up.add(int(problem))
