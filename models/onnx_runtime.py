@@ -132,7 +132,7 @@ def rounding_budget(policy: Policy, points: FloatArray) -> tuple[FloatArray, Flo
     ``e <- |W| e + (k + 2) u (|W| |x| + |b|)`` for an affine layer, times the largest slope (plus a constant for the
     runtime's own tanh) for an activation; u = 2^-24 for float32, 2^-53 for float64.
     """
-    unit = 2.0**-24 if policy.precision == "float32" else 2.0**-53
+    unit, tiny = (2.0**-24, 2.0**-126) if policy.precision == "float32" else (2.0**-53, 2.0**-1022)
     value, error = points, unit * np.abs(points)
     for layer in policy.layers:
         if isinstance(layer, Activation):
@@ -141,9 +141,10 @@ def rounding_budget(policy: Policy, points: FloatArray) -> tuple[FloatArray, Flo
         else:
             weight = np.abs(layer.weight)
             magnitude = np.abs(value) @ weight.T + np.abs(layer.bias)
-            error = error @ weight.T + (weight.shape[1] + 2) * unit * magnitude
+            # numbers below the normal ones may be flushed to zero
+            error = (error + tiny) @ weight.T + (weight.shape[1] + 2) * (unit * magnitude + tiny)
             value = value @ layer.weight.T + layer.bias
-    return value, error + np.finfo(np.float32).tiny
+    return value, error + tiny
 
 
 def _activation_error(layer: Activation, unit: float) -> float:

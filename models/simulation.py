@@ -63,6 +63,7 @@ def simulate(
     atol: float = 1e-11,
     samples_per_period: int = 1,
     policy: Callable[[FloatArray], FloatArray] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Trajectories:
     """Simulate N trajectories.
 
@@ -81,6 +82,8 @@ def simulate(
         States that are stored per period, evenly spaced.
     policy : callable, optional
         Runs instead of the own forward pass, for example `onnx_runtime.deployed_runner(loop.policy)`.
+    stop : callable, optional
+        Asked at every evaluation of the vector field; once it says True, the rest is NaN.
 
     Returns
     -------
@@ -103,7 +106,7 @@ def simulate(
     noise = np.zeros((count, periods, observed))
     stored[:, 0] = state = start
     pending = [np.tile(_floats(loop.delayed_action), (count, 1)) for _ in range(loop.delay)]
-    advance = _map_step if loop.plant.discrete else _Integrator(method, rtol, atol, samples_per_period)
+    advance = _map_step if loop.plant.discrete else _Integrator(method, rtol, atol, samples_per_period, stop)
     with np.errstate(all="ignore"):
         for k in range(periods):
             clean = observe(loop, state)
@@ -169,11 +172,21 @@ def inside(region: Sequence[BoundPolytope], states: FloatArray) -> NDArray[np.bo
     return found
 
 
+MOST_EVALUATIONS = 4000
+"""Evaluations of the vector field per control period after which a trajectory counts as one that left every bound."""
+
+
+class _GivenUp(Exception):
+    """The integrator needs too many steps, or time is up."""
+
+
 class _Integrator:
     """One control period of a continuous-time plant, all trajectories stacked into one system."""
 
-    def __init__(self, method: str, rtol: float, atol: float, samples: int) -> None:
-        self.method, self.rtol, self.atol, self.samples = method, rtol, atol, samples
+    def __init__(
+        self, method: str, rtol: float, atol: float, samples: int, stop: Callable[[], bool] | None = None
+    ) -> None:
+        self.method, self.rtol, self.atol, self.samples, self.stop = method, rtol, atol, samples, stop
 
     def __call__(self, loop: ClosedLoop, state: FloatArray, action: FloatArray, force: FloatArray) -> FloatArray:
         """States (N, samples, n); trajectories that cannot be continued are NaN."""
@@ -195,14 +208,21 @@ class _Integrator:
         from scipy.integrate import solve_ivp
 
         shape, period = state.shape, float(loop.period)
+        evaluations = 0
 
         def slope(_: float, flat: FloatArray) -> FloatArray:
+            nonlocal evaluations
+            evaluations += 1
+            if evaluations > MOST_EVALUATIONS or (self.stop is not None and self.stop()):
+                raise _GivenUp
             return derivative(loop, flat.reshape(shape), action, force).ravel()
 
         times = period * np.arange(1, self.samples + 1) / self.samples
-        result = solve_ivp(
-            slope, (0.0, period), state.ravel(), method=self.method, t_eval=times, rtol=self.rtol, atol=self.atol
-        )
+        span, start = (0.0, period), state.ravel()
+        try:
+            result = solve_ivp(slope, span, start, method=self.method, t_eval=times, rtol=self.rtol, atol=self.atol)
+        except _GivenUp:
+            return None
         if not result.success or not np.isfinite(result.y).all():
             return None
         return np.asarray(result.y.reshape(*shape, self.samples).transpose(0, 2, 1))

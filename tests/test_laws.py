@@ -619,9 +619,6 @@ def test_an_interrupted_run_is_unknown() -> None:
     assert result.verdict is Verdict.UNKNOWN and result.value is not None and result.value.discounted == -np.inf
 
 
-@pytest.mark.xfail(
-    strict=True, reason="falsifier.propose knows no deadline: DOP853 runs on at a singularity for minutes"
-)
 @pytest.mark.timeout(4)
 def test_a_time_limit_is_honoured_while_the_falsifier_simulates_an_escape() -> None:
     loop = escaping("1/(2 - x) + 0*u")

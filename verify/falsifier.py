@@ -6,6 +6,7 @@ perturbations are corners of their boxes, held or random.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,7 +49,12 @@ class Candidate:
 
 
 def propose(
-    loop: ClosedLoop, extremes: Array | None = None, random: int = 64, seed: int = 0, samples: int = 8
+    loop: ClosedLoop,
+    extremes: Array | None = None,
+    random: int = 64,
+    seed: int = 0,
+    samples: int = 8,
+    stop: Callable[[], bool] | None = None,
 ) -> Candidate | None:
     """Simulate candidates and return the worst violation found, or None.
 
@@ -62,6 +68,8 @@ def propose(
     seed : int
     samples : int
         Simulated times per control period at which requirements are checked (one for a discrete-time plant).
+    stop : callable, optional
+        Says when time is up; what was simulated until then counts.
 
     Returns
     -------
@@ -80,7 +88,7 @@ def propose(
         noise = sample_noise(loop, attack, len(initial), generator)
         disturbances = sample_disturbances(loop, attack, len(initial), generator)
         count = 1 if loop.plant.discrete else samples
-        run = simulate(loop, initial, noise, disturbances, rtol=1e-7, atol=1e-9, samples_per_period=count)
+        run = simulate(loop, initial, noise, disturbances, rtol=1e-7, atol=1e-9, samples_per_period=count, stop=stop)
         for requirement in loop.requirements:
             amount, when = violations(requirement, run.times, run.states, count, float(loop.period))
             worst = int(np.argmax(amount))

@@ -163,7 +163,7 @@ def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[
         states = np.tile(initial.center, (len(factors), 1))
         states[:, initial.free] += factors * initial.radius[initial.free]
         low, high = (np.array([float(b[side]) for b in model.loop.initial]) for side in (0, 1))
-        candidate = propose(job.loops[problem], np.clip(states, low, high))
+        candidate = propose(job.loops[problem], np.clip(states, low, high), stop=lambda: deadline.expired)
         if candidate is not None:
             candidates[problem] = candidate
         return candidate is not None
