@@ -18,7 +18,7 @@ from loops import plant_of
 from setrl.models.float_algebra import FloatAlgebra
 from setrl.models.plant import compile_plant
 from setrl.models.tape import Tape, run
-from setrl.verify import balls, flow
+from setrl.verify import balls, picard
 from setrl.verify.balls import Ball
 from setrl.verify.series import flow_jets, map_jets
 
@@ -219,7 +219,7 @@ def test_the_interval_evaluation_of_a_tape_encloses_its_values(name: str) -> Non
     tape, point = TAPES[name], np.array(CENTERS[name])
     generator = np.random.default_rng(6)
     for size in (0.0, 1e-3, 0.15):
-        bounds = flow.derivative_bounds(tape, Ball(point[None], np.full((1, point.size), size)))
+        bounds = picard.derivative_bounds(tape, Ball(point[None], np.full((1, point.size), size)))
         inside = point + size * generator.uniform(-1, 1, size=(300, point.size))
         values = np.stack([np.broadcast_to(v, 300) for v in run(tape, FloatAlgebra(), list(inside.T))], 1)
         slack = 1e-13 * (1 + np.abs(values))
@@ -235,7 +235,7 @@ def test_the_a_priori_box_contains_trajectories_and_refuses_what_escapes() -> No
         point = np.array([CENTERS[name]])
         box = Ball(point, np.full_like(point, 0.02))
         step = balls.rational(cases.F(1, 20))
-        found, proved = flow.a_priori_enclosure(tape, box, step)
+        found, proved = picard.a_priori_enclosure(tape, box, step)
         assert proved.all()
         corners = point + 0.02 * np.sign(np.random.default_rng(1).normal(size=(40, point.shape[1])))
         path = true_flow(tape, corners, np.linspace(0.005, 0.05, 10))
@@ -243,7 +243,7 @@ def test_the_a_priori_box_contains_trajectories_and_refuses_what_escapes() -> No
         assert (path >= found.lower[0, :states] - 1e-11).all() and (path <= found.upper[0, :states] + 1e-11).all()
     escape = compile_plant(plant_of({"x": "x**2"}, inputs="")).tape
     with np.errstate(all="ignore"):
-        _, proved = flow.a_priori_enclosure(
+        _, proved = picard.a_priori_enclosure(
             escape, Ball(np.array([[4.0]]), np.array([[0.1]])), balls.rational(cases.F(1, 2))
         )
     assert not proved.any()

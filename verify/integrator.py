@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,37 +13,12 @@ from ..models.closed_loop import Plant
 from . import rounding
 from .flow import image_of, jet_step
 from .options import Options
+from .steps import Step
 from .zonotope import Zonotope, concatenate, pad_rows, reduce_order
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-
-
-class Step(Protocol):
-    """One integrator step of a batch: what every flow method returns.
-
-    `end` is the joint set at the end (B, d), `added` the half-width that the step added (B, n), `truncation` the part
-    of it that shorter steps would diminish, `sound` where the enclosure exists (B,), `rate` a guess for the next step
-    (2, B, n). The last generator of a time-interval set is time.
-    """
-
-    @property
-    def duration(self) -> Fraction: ...
-    @property
-    def end(self) -> Zonotope: ...
-    @property
-    def added(self) -> Array: ...
-    @property
-    def truncation(self) -> Array: ...
-    @property
-    def sound(self) -> Bools: ...
-    @property
-    def rate(self) -> Array: ...
-    def select(self, cells: Any) -> Step: ...
-    @classmethod
-    def join(cls, steps: Sequence[Any]) -> Any: ...
-    def time_intervals(self, slabs: int) -> list[Zonotope]: ...
 
 
 @dataclass(frozen=True)

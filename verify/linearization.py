@@ -22,11 +22,10 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +34,10 @@ from ..models.tape import Tape
 from . import balls, rounding
 from .ball_matrices import absolute_product, exponential_coefficients, exponential_tail, product
 from .balls import Ball
-from .flow import a_priori_enclosure, derivative_bounds, growth_rate
+from .picard import a_priori_enclosure, derivative_bounds, growth_rate
 from .series import map_jets
-from .zonotope import Zonotope, append_rows, concatenate, diagonal_rows, linear_map, stack_cells
+from .steps import Step
+from .zonotope import Zonotope, append_rows, concatenate, diagonal_rows, linear_map
 
 Array = NDArray[np.float64]
 
@@ -50,15 +50,15 @@ def time_weights(times: tuple[Fraction, ...], order: int, derivative: int) -> Ba
     )
 
 
-@dataclass(frozen=True)
-class LinearStep:
-    """One integrator step of a batch of joint sets by conservative linearisation.
+@dataclass(frozen=True, kw_only=True)
+class LinearStep(Step):
+    """One step by conservative linearisation; see `Step` for what every method has.
+
+    `truncation` is the tail, and the remainder without the share that the start set alone causes. The rows of `end` are
+    those of `start`, then n rows of this step's remainder.
 
     Attributes
     ----------
-    start : Zonotope, shape (B, d)
-        States first, then what is constant over the step.
-    duration : Fraction
     value, jacobian : Ball
         Time coefficients 0 .. K of the linearised solution from the start set's center, (B, K + 1, n), and of its
         derivative by the start value, (B, K + 1, n, d).
@@ -66,77 +66,23 @@ class LinearStep:
         Time coefficients of a bound of what the linearisation remainder contributes.
     tail : array, shape (B, n)
         Bound of the sum of all coefficients above K, each times its power of any time up to the duration.
-    end : Zonotope, shape (B, d)
-        Joint set at the end: the rows of `start`, then n rows of this step's remainder.
-    added : array, shape (B, n)
-        Half-width that this step added in all.
-    truncation : array, shape (B, n)
-        Estimate (not a bound) of the part that shorter steps would diminish: the tail, and the remainder without the
-        share that the start set alone causes.
-    sound : array of bool, shape (B,)
-        Whether the a-priori enclosure was proved, the tail is bounded and everything is finite; elsewhere the step
-        means nothing.
-    rate : array, shape (2, B, n)
-        Growth of the a-priori box per second: a guess for the next step, not a bound.
     """
 
-    start: Zonotope
-    duration: Fraction
+    CELL_AXES: ClassVar[dict[str, int]] = Step.CELL_AXES | {"value": 0, "jacobian": 0, "drive": 0, "tail": 0}
+
     value: Ball
     jacobian: Ball
     drive: Array
     tail: Array
-    end: Zonotope
-    added: Array
-    truncation: Array
-    sound: NDArray[np.bool_]
-    rate: Array
-    slabs: dict[int, list[Zonotope]] = field(default_factory=dict, repr=False, compare=False)
-    """Time-interval sets that were already asked for."""
 
-    def select(self, cells: Any) -> LinearStep:
-        """The same step of some cells."""
-        return LinearStep(
-            self.start[cells],
-            self.duration,
-            self.value[cells],
-            self.jacobian[cells],
-            self.drive[cells],
-            self.tail[cells],
-            self.end[cells],
-            self.added[cells],
-            self.truncation[cells],
-            self.sound[cells],
-            self.rate[:, cells],
-        )
-
-    @classmethod
-    def join(cls, steps: Sequence[LinearStep]) -> LinearStep:
-        """Steps of equal duration as one batch, cells one after the other."""
-        return cls(
-            stack_cells([step.start for step in steps]),
-            steps[0].duration,
-            balls.concatenate([step.value for step in steps], 0),
-            balls.concatenate([step.jacobian for step in steps], 0),
-            np.concatenate([step.drive for step in steps]),
-            np.concatenate([step.tail for step in steps]),
-            stack_cells([step.end for step in steps]),
-            np.concatenate([step.added for step in steps]),
-            np.concatenate([step.truncation for step in steps]),
-            np.concatenate([step.sound for step in steps]),
-            np.concatenate([step.rate for step in steps], 1),
-        )
-
-    def time_intervals(self, slabs: int) -> list[Zonotope]:
+    def enclose_intervals(self, slabs: int) -> list[Zonotope]:
         """Sets that contain the states at every time of each of `slabs` equal parts of the step.
 
         Around the middle t_m of a part, with |tau| <= delta, x the polynomial part of the linearised solution:
         ``x(t_m + tau) in x(t_m) + x'(t_m) tau +- delta^2/2 |x''|``. Time is one more generator for the velocity of the
         center; that of a deviation d is bounded by ``|Dx'(t_m)| a``; |x''|, remainder and tail at the part's end.
         """
-        if slabs not in self.slabs:
-            self.slabs[slabs] = _slabs(self, slabs)
-        return self.slabs[slabs]
+        return _slabs(self, slabs)
 
 
 def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: Array | None = None) -> LinearStep:
@@ -187,7 +133,19 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: A
         drive = absolute_product(series.response, drift.rad[:, None, :, None])[..., 0]
         growth = growth_rate(prior, z.interval, states, duration)
     sound = proved & finite
-    return LinearStep(z, duration, series.value, series.jacobian, drive, tail, end, added, truncation, sound, growth)
+    return LinearStep(
+        start=z,
+        duration=duration,
+        end=end,
+        added=added,
+        truncation=truncation,
+        sound=sound,
+        rate=growth,
+        value=series.value,
+        jacobian=series.jacobian,
+        drive=drive,
+        tail=tail,
+    )
 
 
 def tightened(tape: Tape, box: Ball, prior: Ball, duration: Fraction) -> Ball:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..models.closed_loop import BoundRequirement
-from .integrator import Step
 from .options import Options
 from .separation import (
     Facets,
@@ -25,6 +24,7 @@ from .separation import (
     prepare_polytope,
     program_separation,
 )
+from .steps import Step
 from .zonotope import Zonotope, stack_cells
 
 Array = NDArray[np.float64]

@@ -17,10 +17,10 @@ from ..models.closed_loop import ClosedLoop
 from . import rounding
 from .balls import Ball
 from .closed_loop import Period
-from .integrator import Step
 from .options import Options
 from .performance import Performance
 from .requirements import Monitor
+from .steps import Step
 from .zonotope import Zonotope, stack_cells
 
 Array = NDArray[np.float64]
