@@ -10,8 +10,10 @@ import pytest
 from loops import activation_of, network
 
 from setrl.models.onnx_reader import read_policy
+from setrl.models.onnx_runtime import deployed_runner
 from setrl.models.onnx_writer import policy_bytes
 from setrl.models.policy import Activation, Affine, Layer, Policy
+from setrl.verify import deployed
 
 
 def stored(layers: Any, precision: str = "float32") -> Policy:
@@ -63,3 +65,29 @@ def test_subnormal_numbers_are_within_their_bound() -> None:
     layers = (tiny, activation_of("relu"), Affine(np.full((1, 2), 2.0**60), np.zeros(1)))
     policy = Policy(layers, 2, 1, content=policy_bytes(layers))
     laws.law_deployed(policy, np.array([0.1, 0.1]), np.array([1.0, 1.0]))
+
+
+def test_a_number_that_float32_cannot_hold_is_off_by_its_conversion() -> None:
+    held, lost = np.array([1.0, -0.5, 3.0, 2.0**24]), np.array([1.0 + 2.0**-40, 0.1, 2.0**24 + 1.0, 1e-40])
+    assert (deployed._conversion_error(held, None, "float32") == 0.0).all()
+    distance = np.abs(lost.astype(np.float32).astype(np.float64) - lost)
+    assert (distance > 0.0).all() and (deployed._conversion_error(lost, None, "float32") >= distance).all()
+    assert (deployed._conversion_error(lost, None, "float64") == 0.0).all()
+    # a stored number that only bounds the exact one is off by both
+    inexact = np.full(4, 2.0**-30)
+    assert (deployed._conversion_error(held, inexact, "float32") >= inexact).all()
+
+
+@pytest.mark.parametrize(("kind", "precision"), [(k, p) for k in ("tanh", "sigmoid") for p in ("float32", "float64")])
+def test_the_runtimes_own_functions_are_within_their_constant(kind: str, precision: str) -> None:
+    # around 16 onnxruntime 1.31 is furthest off in float64; batches of several sizes take different code paths
+    points = np.concatenate([np.linspace(-20.0, 20.0, 4001), np.linspace(-19.0, -15.0, 3000), [-17.711515293817616]])
+    runner = deployed_runner(stored([Affine(np.eye(1), np.zeros(1)), Activation(kind)], precision))
+    points = points.astype(precision).astype(np.float64)
+    exact = [laws.exact_activation(Activation(kind), float(x)) for x in points]
+    for size in (1, 7, 64, points.size):
+        shown = points[:: max(1, points.size // 500)] if size == 1 else points
+        values = np.concatenate([runner(shown[i : i + size, None])[:, 0] for i in range(0, shown.size, size)])
+        bounds = exact[:: max(1, points.size // 500)] if size == 1 else exact
+        for value, (least, most) in zip(values, bounds, strict=True):
+            assert most - deployed.RUNTIME_ERROR[precision] <= value <= least + deployed.RUNTIME_ERROR[precision]
