@@ -100,6 +100,11 @@ def _tanh(lower: Any, upper: Any, xp: Any) -> Relaxation:
     )
 
 
+def _between(x: Any, low: Any, high: Any, xp: Any) -> Any:
+    """x clipped to [low, high]; two comparisons are several times faster than clip on small arrays."""
+    return xp.minimum(xp.maximum(x, low), high)
+
+
 def _tanh_slope(x: Any, xp: Any) -> Any:
     value = xp.tanh(x)
     return (1.0 - value) * (1.0 + value)
@@ -120,7 +125,7 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     any p >= 0: ``f(x) - m x <= f(p) - m p + |f'(p) - m| max |x - p|``; p near atanh(sqrt(1 - m)), where f' = m, makes
     the last term vanish. For x <= 0 the same holds for -tanh(-x).
     """
-    slope = xp.clip(slope, 0.0, 1.0)
+    slope = _between(slope, xp.zeros_like(slope), xp.ones_like(slope), xp)
     # the place where f' = m, and any place is sound; for m < 2^-50 the root rounds to 1
     usable = slope > 2.0**-50
     root = xp.sqrt(1.0 - xp.where(usable, slope, xp.ones_like(slope)))
@@ -128,14 +133,14 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     zero = xp.zeros_like(slope)
     ends = xp.stack([lower + zero, upper + zero])
     below, above = _residual(ends, slope, xp)
-    low, high = xp.min(below, axis=0), xp.max(above, axis=0)
+    low, high = xp.minimum(below[0, ...], below[1, ...]), xp.maximum(above[0, ...], above[1, ...])
     straddles = (lower < 0) & (upper > 0)
     low = xp.where(straddles, xp.minimum(low, zero), low)
     high = xp.where(straddles, xp.maximum(high, zero), high)
     # concave part, x in [max(l, 0), u]; convex part, x in [l, min(u, 0)], by symmetry
     start = xp.maximum(xp.stack([lower + zero, -upper + zero]), zero)
     stop = xp.maximum(xp.stack([upper + zero, -lower + zero]), zero)
-    tangent = _tangent_bound(xp.clip(place, start, stop), slope, start, stop, xp)
+    tangent = _tangent_bound(_between(place, start, stop, xp), slope, start, stop, xp)
     high = xp.where(upper > 0, xp.maximum(high, tangent[0, ...]), high)
     low = xp.where(lower < 0, xp.minimum(low, -tangent[1, ...]), low)
     return _from_bounds(xp, slope, low, high)
@@ -178,7 +183,8 @@ def _relu(lower: Any, upper: Any, xp: Any) -> Relaxation:
     zero, one = xp.zeros_like(lower), xp.ones_like(lower)
     # bounds that are not ordered numbers give no relaxation: NaN, never a neuron that is called inactive
     stable = xp.where(lower >= 0, one, xp.where(upper <= 0, zero, xp.full_like(lower, xp.nan)))
-    slope = xp.where(crossing, xp.clip(upper / xp.where(crossing, upper - lower, one), 0.0, 1.0), stable)
+    chord = upper / xp.where(crossing, upper - lower, one)
+    slope = xp.where(crossing, _between(chord, zero, one, xp), stable)
     top = rounding.enlarged(xp.maximum(-slope * lower, (1.0 - slope) * upper), 3)
     half = xp.where(crossing, 0.5 * top, 0.0 * stable)
     return Relaxation(slope, half, half)
