@@ -17,7 +17,7 @@ from ..models.policy import Activation, Affine, Layer
 from . import rounding
 from .balls import Ball, exact
 from .relaxations import relax
-from .zonotope import Zonotope, append_rows, diagonal_rows, linear_map
+from .zonotope import Zonotope, append_rows, diagonal_rows, linear_map, select_rows
 
 Array = NDArray[np.float64]
 
@@ -148,10 +148,7 @@ def merge_rows(z: Zonotope, shared: int, rows: int) -> Zonotope:
     if z.dimension > 1 and private.shape[1] > rows:
         scale = rounding.enlarged(np.abs(private).sum(1), private.shape[1])
         size = np.abs(private) / np.where(scale > 0.0, scale, 1.0)[:, None, :]
-        order = np.sort(np.argpartition(-(size.sum(-1) - size.max(-1)), rows - 1, axis=1)[:, :rows], axis=1)
-        kept = np.take_along_axis(private, order[:, :, None], 1)
-        mask = np.ones(size.shape[:2], dtype=bool)
-        np.put_along_axis(mask, order, False, 1)
+        kept, mask = select_rows(private, np.argpartition(-(size.sum(-1) - size.max(-1)), rows - 1, axis=1)[:, :rows])
     elif z.dimension > 1:
         kept, mask = private, np.zeros(private.shape[:2], dtype=bool)
     else:

@@ -133,9 +133,10 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     total = size.sum(-1)
     if kept:
         score = (size / np.where(total > 0.0, total, 1.0)[:, :, None]).sum(1)
-        chosen = np.argpartition(-score, kept - 1, axis=1)[:, None, :kept]
-        new[:, :kept] = np.swapaxes(np.take_along_axis(products, chosen, 2), 1, 2)
-        np.put_along_axis(size, np.broadcast_to(chosen, (*size.shape[:2], kept)), 0.0, 2)
+        chosen = np.argpartition(-score, kept - 1, axis=1)[:, :kept]
+        cells = np.arange(z.batch)[:, None]
+        new[:, :kept] = products[cells, :, chosen]
+        size[cells, :, chosen] = 0.0
         total = size.sum(-1)
     boxed = rounding.enlarged(total, size.shape[-1])
     boxed = boxed + rounding.relative_error(np.abs(trace).sum(-1), count + 2)

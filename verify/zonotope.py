@@ -174,6 +174,15 @@ def unbox(z: Zonotope) -> Zonotope:
     return Zonotope(z.center, np.concatenate([z.generators, diagonal_rows(z.radius)], -2), np.zeros_like(z.radius))
 
 
+def select_rows(rows: Array, chosen: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
+    """Rows (B, k, n) at positions `chosen` (B, m), in order, and a mask (B, k) of the others."""
+    cells = np.arange(rows.shape[0])[:, None]
+    chosen = np.sort(chosen, axis=1)
+    mask = np.ones(rows.shape[:2], dtype=bool)
+    mask[cells, chosen] = False
+    return rows[cells, chosen], mask
+
+
 def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[Zonotope, Array]:
     """Order reduction: keep the generators that a box would represent worst, box the rest into the radius.
 
@@ -210,9 +219,7 @@ def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[
     score = scaled.sum(-1) - scaled.max(-1)
     keep = rows - protected
     order = np.argpartition(-score, keep - 1, axis=1) if keep > 0 else np.argsort(score, axis=1)
-    kept = np.take_along_axis(free, np.sort(order[:, :keep], axis=1)[:, :, None], 1)
-    mask = np.ones(score.shape, dtype=bool)
-    np.put_along_axis(mask, order[:, :keep], False, 1)
+    kept, mask = select_rows(free, order[:, :keep])
     boxed = rounding.enlarged((size * mask[:, :, None]).sum(1), size.shape[1])
     radius = rounding.enlarged(z.radius + boxed, 1)
     return Zonotope(z.center, np.concatenate([generators[:, :protected], kept], 1), radius), boxed
