@@ -180,7 +180,7 @@ def sincos(a: Ball) -> tuple[Ball, Ball]:
         usable = a.rad <= 1.5
         rad = np.where(usable, a.rad, 1.5)
         mid = np.where(usable, a.mid, 0.0)
-        value = np.stack([np.sin(mid), np.cos(mid)])  # both functions at once: each is the other's slope
+        value = np.array([np.sin(mid), np.cos(mid)])  # both functions at once: each is the other's slope
         size = np.abs(value)
         slope = size[::-1]
         # sin r <= r, and 1 - cos r = 2 sin^2(r/2) without cancellation

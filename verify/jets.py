@@ -154,7 +154,7 @@ def function_jet(space: JetSpace, name: str, a: Ball) -> Ball:
 def sincos_jets(space: JetSpace, a: Ball) -> tuple[Ball, Ball]:
     """Jets of sin(a) and cos(a), computed together: each is the other's derivative."""
     sine, cosine = balls.sincos(a[..., :1])
-    both = Ball(np.stack([sine.mid, cosine.mid]), np.stack([sine.rad, cosine.rad]))
-    first = Ball(np.stack([cosine.mid, -sine.mid]), np.stack([cosine.rad, sine.rad]))
-    result = compose(space, Ball(np.stack([a.mid, a.mid]), np.stack([a.rad, a.rad])), both, first, balls.negate(both))
+    both = Ball(np.array([sine.mid, cosine.mid]), np.array([sine.rad, cosine.rad]))
+    first = Ball(np.array([cosine.mid, -sine.mid]), np.array([cosine.rad, sine.rad]))
+    result = compose(space, Ball(np.array([a.mid, a.mid]), np.array([a.rad, a.rad])), both, first, balls.negate(both))
     return result[0], result[1]

@@ -95,5 +95,5 @@ def a_priori_enclosure(tape: Tape, box: Ball, step: Ball, rate: Array | None = N
 def growth_rate(prior: Ball, box: Ball, states: int, duration: Fraction) -> Array:
     """Growth of an a-priori box per second, shape (2, B, n): a guess for the next step, not a bound."""
     with np.errstate(invalid="ignore", over="ignore"):
-        growth = np.stack([prior.lower - box.lower, prior.upper - box.upper])
+        growth = np.array([prior.lower - box.lower, prior.upper - box.upper])
         return growth[:, :, :states] / float(duration)

@@ -170,7 +170,7 @@ class _Evaluation:
                 jets += sincos_jets(self.space, argument[i])
             elif name != "cos":
                 jets.append(function_jet(self.space, name, argument[i]))
-        return Ball(np.stack([j.mid for j in jets]), np.stack([j.rad for j in jets]))
+        return Ball(np.array([j.mid for j in jets]), np.array([j.rad for j in jets]))
 
     def _reciprocal(self, number: int, group: Group, k: int) -> Ball:
         convolution = self._convolution(number, group)
