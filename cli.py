@@ -87,6 +87,9 @@ EpsilonOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
 PlotOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw into a .png, .pdf or .svg file.")]
+WitnessOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the witness of a FALSIFIED, exact numbers as JSON.")
+]
 CsvOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write comma-separated values.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Nothing but the verdict and errors.")]
 
@@ -106,12 +109,13 @@ def root(
     """Does a policy network keep a plant within its specification? A sound verdict, with its reason."""
 
 
-@app.command("verify", short_help="Verify a policy: VERIFIED, or UNKNOWN and why.")
+@app.command("verify", short_help="Verify a policy: VERIFIED, FALSIFIED, or UNKNOWN and why.")
 def verify_command(
     policy: PolicyArgument = None,
     spec: SpecOption = None,
     as_json: JsonOption = False,
     plot: PlotOption = None,
+    witness: WitnessOption = None,
     timeout: TimeoutOption = None,
     epsilon: EpsilonOption = None,
     splits: SplitsOption = None,
@@ -120,13 +124,13 @@ def verify_command(
     generators: GeneratorsOption = None,
     quiet: QuietOption = False,
 ) -> int:
-    """Verify a policy: VERIFIED or UNKNOWN on stdout, everything else on stderr.
+    """Verify a policy: VERIFIED, FALSIFIED or UNKNOWN on stdout, everything else on stderr.
 
     Without arguments, verify the shipped example.
     """
     options = _options(timeout, splits, method, taylor_order, generators)
     radius = _radius(epsilon)
-    _require_outputs(plot=plot)
+    _require_outputs(plot=plot, witness=witness)
     network, specification = _inputs(policy, spec, quiet)
     from .verify import report
     from .verify.interruption import interruptible, progress_bar
@@ -143,6 +147,8 @@ def verify_command(
     if plot is not None:
         result.plot(str(plot))
         _wrote(plot, quiet)
+    if witness is not None and result.witness is not None:
+        _write(witness, result.witness.content, quiet)
     return result.verdict.exit_code
 
 
@@ -397,11 +403,11 @@ def _inputs(policy: Path | None, spec: str | None, quiet: bool) -> tuple[str, st
     return str(policy), spec
 
 
-def _require_outputs(*, plot: Path | None = None, csv: Path | None = None) -> None:
+def _require_outputs(*, plot: Path | None = None, csv: Path | None = None, witness: Path | None = None) -> None:
     """Unusable output paths are found before hours of work."""
     from .specs.files import require_writable
 
-    for path in (plot, csv):
+    for path in (plot, csv, witness):
         if path is not None:
             require_writable(path)
     if plot is not None:

@@ -123,8 +123,8 @@ def test_a_sweep_is_a_table_with_one_row_per_radius(folder: Path, capsys: Any) -
 def test_a_sweep_is_as_bad_as_its_worst_radius(folder: Path, capsys: Any) -> None:
     outcome = run(capsys, "sweep", *QUICKLY, "--epsilon", "0,5", "--splits", "1", "--json")
     results = json.loads(outcome.out)["results"]
-    assert outcome.code == 5
-    assert [entry["verdict"] for entry in results] == ["VERIFIED", "UNKNOWN"]
+    assert outcome.code == 10
+    assert [entry["verdict"] for entry in results] == ["VERIFIED", "FALSIFIED"]
 
 
 def test_a_simulation_is_repeatable_and_stays_in_its_bounds(folder: Path, capsys: Any) -> None:

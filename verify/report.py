@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .options import Options
-from .result import Flowpipe, Reason, RequirementResult, Result, Value, Verdict
+from .result import Flowpipe, ProvedWitness, Reason, RequirementResult, Result, Value, Verdict
 from .wording import at_least, at_most, number, quantity
 
 if TYPE_CHECKING:
@@ -166,6 +167,7 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
             "cells": result.cells,
             "leaves": result.leaves,
             "candidate": None if result.candidate is None else _candidate_data(result, result.candidate),
+            "witness": None if result.witness is None else _witness_data(result.witness),
             "flowpipe": flowpipe_to_json(result.flowpipe),
             "notes": list(result.notes),
             "options": None if options is None else asdict(options),
@@ -192,6 +194,17 @@ def _candidate_data(result: Result, candidate: Any) -> dict[str, Any]:
         "initial": dict(zip(states, candidate.initial.tolist(), strict=True)),
         "noise": candidate.noise.tolist(),
         "disturbances": candidate.disturbances.tolist(),
+    }
+
+
+def _witness_data(witness: ProvedWitness) -> dict[str, Any]:
+    """What was proved, and the witness itself as its file has it: exact numbers as text."""
+    return {
+        "grade": witness.grade,
+        "depth": witness.depth,
+        "radius": witness.radius,
+        "precision": witness.precision,
+        "file": json.loads(witness.content),
     }
 
 

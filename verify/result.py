@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class Verdict(StrEnum):
-    """VERIFIED, FALSIFIED or UNKNOWN; FALSIFIED needs a proved witness, which this version cannot make yet."""
+    """VERIFIED, FALSIFIED or UNKNOWN; FALSIFIED needs a witness whose violation is proved."""
 
     VERIFIED = "VERIFIED"
     FALSIFIED = "FALSIFIED"
@@ -133,6 +134,39 @@ class Flowpipe:
 
 
 @dataclass(frozen=True)
+class ProvedWitness:
+    """A witness that the checker proved.
+
+    Attributes
+    ----------
+    requirement, kind : str
+    time : Fraction or None
+        Seconds, exact; None for `reach`, which is missed at every sampling instant of its window.
+    grade : str
+        What is proved of which semantics, "proved (real)".
+    sentence : str
+    depth : float
+        Violation in the requirement's unit, a lower bound.
+    radius : float
+        Of the state's enclosure where the violation is read off, an upper bound.
+    precision : int
+        Bits of the ball arithmetic.
+    content : str
+        Text of the witness file: all numbers exact.
+    """
+
+    requirement: str
+    kind: str
+    time: Fraction | None
+    grade: str
+    sentence: str
+    depth: float
+    radius: float
+    precision: int
+    content: str
+
+
+@dataclass(frozen=True)
 class Result:
     """Outcome of `verify`.
 
@@ -153,6 +187,8 @@ class Result:
         Cells that were enclosed, cells of the final cover.
     candidate : Candidate or None
         A simulated violation; not a proof.
+    witness : ProvedWitness or None
+        What makes the verdict FALSIFIED.
     timings : dict of phase to seconds
     claim : str
         What exactly is claimed, in a sentence.
@@ -176,6 +212,7 @@ class Result:
     notes: tuple[str, ...]
     loop: ClosedLoop
     observation_radius: tuple[float, ...]
+    witness: ProvedWitness | None = None
 
     def plot(self, path: str | None = None, states: tuple[str, str] | None = None) -> Figure:
         """Draw the flowpipe with the specification's regions; see `verify.plot.plot_result`."""

@@ -1,4 +1,7 @@
-"""The front door: one specification, one policy, a verdict. The only module that knows the engine and the falsifier."""
+"""The front door: one specification, one policy, a verdict.
+
+The only module that knows all three islands: the engine, the falsifier and the checker.
+"""
 
 from __future__ import annotations
 
@@ -6,25 +9,29 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.binding import bind
-from ..models.closed_loop import ClosedLoop, Plant
+from ..models.closed_loop import BoundRequirement, ClosedLoop, Plant
 from ..models.onnx_reader import read_policy
 from ..models.policy import Policy
 from ..specs.errors import InputError, SetrlError, UsageError
-from ..specs.reader import find_specification, read_specification
+from ..specs.reader import digest, find_specification, parse_specification, read_specification
 from ..specs.specification import Specification
+from .checker.contract import read_contract
+from .checker.witness import Proof, Witness, prove
 from .closed_loop import Engine
 from .deadline import Deadline
 from .falsifier import Candidate, propose
 from .model import initial_box, observation_radius, prepare
 from .options import Options
 from .reason import explain
-from .result import Flowpipe, RequirementResult, Result, Value, Verdict
+from .result import Flowpipe, ProvedWitness, RequirementResult, Result, Value, Verdict
 from .separation import containment_margins, facet_separation, prepare_polytope
 from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
 from .watch import PARTS
@@ -149,7 +156,13 @@ def verify_radii(
                 f"{loop.policy.precision} execution is not covered: its error bound is {refused[problem]:.2g} of the "
                 f"action range, more than {ILL_CONDITIONED:.0%}; rescale the network's weights"
             )
-        results.append(_result(job, chosen, problem, some.get(problem), tuple(semantics), tuple(notes), timings))
+        candidate, witness = some.get(problem), None
+        if candidate is not None:
+            before = time.perf_counter()
+            witness, objection = _witnessed(loop, candidate, plant, deadline)
+            notes += [f"the violation that a simulation shows is not proved: {objection}"] if objection else []
+            timings = {**timings, "witness": time.perf_counter() - before}
+        results.append(_result(job, chosen, problem, candidate, witness, tuple(semantics), tuple(notes), timings))
     return results
 
 
@@ -198,6 +211,7 @@ def _result(
     found: Exploration,
     problem: int,
     candidate: Candidate | None,
+    witness: ProvedWitness | None,
     semantics: tuple[str, ...],
     notes: tuple[str, ...],
     timings: dict[str, float],
@@ -206,13 +220,18 @@ def _result(
     leaves = found.cells_of(problem, PROVED, FAILED)
     # positive polarity: every leaf of the cover was proved, and there is a cover
     everything = leaves.size > 0 and bool((found.status[leaves] == PROVED).all())
+    if everything and witness is not None:
+        raise AssertionError(f"the engine proved every cell, and the checker a violation: {witness.sentence}")
     verified = everything and candidate is None
-    verdict = Verdict.VERIFIED if verified else Verdict.UNKNOWN
+    verdict = Verdict.VERIFIED if verified else Verdict.FALSIFIED if witness is not None else Verdict.UNKNOWN
+    reason = None if verified else explain(loop, job.options, found, problem, candidate)
+    if reason is not None and witness is not None:
+        reason = replace(reason, sentence=witness.sentence)
     value = _value(loop, found, problem, leaves)
     cells = int((found.tree.problem == problem).sum())
     return Result(
         verdict,
-        None if verdict is Verdict.VERIFIED else explain(loop, job.options, found, problem, candidate),
+        reason,
         _requirements(loop, found, leaves),
         value,
         _flowpipe(loop, found, leaves, problem),
@@ -226,6 +245,71 @@ def _result(
         notes,
         loop,
         tuple(float(radius) for radius in loop.observation_radius),
+        witness,
+    )
+
+
+def _witnessed(
+    loop: ClosedLoop, candidate: Candidate, plant: Plant | None, deadline: Deadline
+) -> tuple[ProvedWitness | None, str]:
+    """The candidate as a witness that the checker proved; or None and why not.
+
+    The proof is about files, so what was given as an object has to be what its file says.
+    """
+    specification, policy = loop.specification, loop.policy.content
+    if plant is not None or not policy or deadline.expired:
+        return None, "the time is up" if deadline.expired else "the checker needs the policy and the plant as files"
+    source = Path(specification.source)
+    content = source.read_bytes() if source.is_file() else b""
+    if digest(content) != specification.digest:
+        return None, "the checker needs the specification as a file, with the bytes that were read"
+    if parse_specification(content, specification.source) != specification:
+        return None, "the specification was changed after it was read"
+    try:
+        contract = read_contract(content, source.parent)
+    except SetrlError as error:
+        return None, f"the checker cannot read the specification: {error}"
+    requirement = next(entry for entry in loop.requirements if entry.name == candidate.requirement)
+    witness = Witness(
+        requirement=candidate.requirement,
+        time=_exact_time(candidate.time, requirement, loop),
+        initial=_clipped(candidate.initial, loop.initial),
+        noise=tuple(
+            _clipped(row, [(-radius, radius) for radius in loop.observation_radius]) for row in candidate.noise
+        ),
+        disturbances=_exact_disturbances(candidate.disturbances, loop),
+        policy=digest(policy),
+        specification=specification.digest,
+        plant=contract.plant_digest,
+        observation_radius=None if contract.radius == loop.observation_radius else loop.observation_radius,
+    )
+    found = prove(witness, policy, content, source.parent)
+    if not isinstance(found, Proof):
+        return None, found
+    given = (found.requirement, found.kind, found.time, found.grade, found.sentence, found.depth, found.radius)
+    return ProvedWitness(*given, found.precision, witness.to_json()), ""
+
+
+def _exact_time(time: float, requirement: BoundRequirement, loop: ClosedLoop) -> Fraction | None:
+    """The simulation's sampling time as a fraction of the period, within the requirement's window; None for reach."""
+    if requirement.kind == "reach":
+        return None
+    share = Fraction(time / float(loop.period))
+    near = Fraction(round(share)) if loop.plant.discrete else share.limit_denominator(64)
+    return min(max(near * loop.period, requirement.start), requirement.end)
+
+
+def _clipped(values: Array, bounds: Sequence[tuple[Fraction, Fraction]]) -> tuple[Fraction, ...]:
+    """Floats as exact numbers that are within their bounds, where rounding took them out."""
+    return tuple(min(max(Fraction(x), low), high) for x, (low, high) in zip(values.tolist(), bounds, strict=True))
+
+
+def _exact_disturbances(values: Array, loop: ClosedLoop) -> tuple[tuple[Fraction, ...], ...]:
+    rows = [_clipped(row, [(entry.lower, entry.upper) for entry in loop.disturbances]) for row in values]
+    constant = [entry.constant for entry in loop.disturbances]
+    return tuple(
+        tuple(first if held else value for value, first, held in zip(row, rows[0], constant, strict=True))
+        for row in rows
     )
 
 

@@ -82,7 +82,8 @@ class Witness:
             "plant": self.plant,
             "observation_radius": None if radius is None else _texts(radius),
         }
-        return json.dumps(data, indent=1, ensure_ascii=False) + "\n"
+        lines = [f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def _texts(numbers: Numbers) -> list[str]:
