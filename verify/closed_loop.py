@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import rounding
-from .deployed import deployed_error
+from .deployed import conversion_error, deployed_error
 from .integrator import PeriodFlow, integrate
 from .model import Model, clip_activations
 from .network import enclose_layers, merge_rows
@@ -271,10 +271,10 @@ class Engine:
         radius = np.abs(slope) * action.radius + rounding.relative_error(total, 1)
         radius = radius + rounding.relative_error(slope * action.center, 1) + rounding.relative_error(center, 1)
         # the exact bounds differ from these floats, and a deployed clip rounds them to its own precision
-        bound = np.maximum(np.abs(model.clip[0]), np.abs(model.clip[1]))
         error = model.clip[2]
-        if self.options.deployed and model.loop.policy.precision == "float32":
-            error = rounding.enlarged(error + 2.0**-24 * bound, 2)
+        if self.options.deployed:
+            precision = model.loop.policy.precision
+            error = np.maximum(*(conversion_error(bound, error, precision) for bound in model.clip[:2]))
         radius = rounding.enlarged(radius + error, 6)
         return append_rows(Zonotope(center, generators, radius), diagonal_rows(relaxation_error))
 

@@ -3,10 +3,10 @@
 |N_f32(x) - N_real(x)| <= e_L for every x of the enclosed observation set, whatever the summation order, with or without
 fused multiply-add: with u = 2^-24 and g_k = k u / (1 - k u),
 
-    e_0 = u |x| (the cast of the observation),
+    e_0 = u |x| + 2^-126 (the cast of the observation),
     affine: e = |W| (e + 2^-126) + g_(k+1) (|W| (mag + e) + |b|) + 2^-126 (k + 1 + |mag + e|_1)
             (the last terms are underflow, denormal numbers flushed to zero or not),
-    ReLU, LeakyReLU and Clip are 1-Lipschitz (LeakyReLU: times the slope, plus its rounding),
+    ReLU, LeakyReLU and Clip are 1-Lipschitz (LeakyReLU: times the slope, plus its rounding), plus 2^-126,
     tanh, sigmoid: e max f' + the runtime's own error.
 
 A float64 network uses u = 2^-53 in the same formulas.
@@ -26,7 +26,8 @@ from .network import LayerBounds
 
 Array = NDArray[np.float64]
 
-PRECISIONS = {"float32": (2.0**-24, 2.0**-126, 2.0**-149), "float64": (2.0**-53, 2.0**-1022, 2.0**-1074)}
+PRECISIONS = {"float32": (2.0**-24, 2.0**-126), "float64": (2.0**-53, 2.0**-1022)}
+"""Unit roundoff and smallest normal number; what is smaller may be flushed to zero anywhere."""
 RUNTIME_ERROR = {"float32": 2.0**-21, "float64": 2.0**-48}
 """Absolute error of the runtime's own tanh and sigmoid. Measured on onnxruntime 1.31: 3.3e-7 in float32 (2^-21 is
 4.8e-7), 9.7e-16 in float64 near |x| = 16 (2^-48 is 3.6e-15). The claim names the version."""
@@ -46,15 +47,15 @@ def deployed_error(layers: Sequence[Layer], bounds: Sequence[LayerBounds], preci
     -------
     array, shape (B, outputs)
     """
-    unit, _, subnormal = PRECISIONS[precision]
+    unit, smallest = PRECISIONS[precision]
     first = _magnitude(bounds[0])
-    error = rounding.enlarged(unit * first + subnormal, 2)
+    error = rounding.enlarged(unit * first + smallest, 2)
     for layer, seen in zip(layers, bounds, strict=True):
         size = rounding.enlarged(_magnitude(seen) + error, 1)
         if isinstance(layer, Affine):
             error = _affine(layer, size, error, precision)
         else:
-            error = _activation(layer, seen, error, unit, subnormal, RUNTIME_ERROR[precision])
+            error = _activation(layer, seen, error, unit, smallest, RUNTIME_ERROR[precision])
     return np.asarray(error)
 
 
@@ -86,31 +87,34 @@ def _constants(layer: Affine, precision: str) -> tuple[int, float, Array, Array,
     if not terms * unit < 0.5:
         raise AssertionError(f"a sum of {terms} terms in {precision} has no error bound")
     factor = float(rounding.enlarged(np.float64(terms * unit / (1.0 - terms * unit)), 6))
-    weight_error = _conversion_error(layer.weight, layer.weight_error, precision)
-    bias_error = _conversion_error(layer.bias, layer.bias_error, precision)
+    weight_error = conversion_error(layer.weight, layer.weight_error, precision)
+    bias_error = conversion_error(layer.bias, layer.bias_error, precision)
     converted = weight_error if weight_error.any() or bias_error.any() else None
     return terms, factor, np.abs(layer.weight), np.abs(layer.bias), converted, bias_error
 
 
-def _conversion_error(stored: Array, error: Array | None, precision: str) -> Array:
+def conversion_error(stored: Array, error: Array | None, precision: str) -> Array:
     """Bound of the distance between the exact number and the one the runtime holds, 0 where both are the stored one."""
-    unit, _, subnormal = PRECISIONS[precision]
+    unit, smallest = PRECISIONS[precision]
     inexact = np.zeros_like(stored) if error is None else error
     held = stored.astype(precision).astype(np.float64)
-    bound = rounding.enlarged(2.0 * (inexact + unit * np.abs(stored)) + subnormal, 3)
-    return np.where((inexact == 0.0) & (held == stored), 0.0, bound)
+    # the rounding of the stored number, its distance from the exact one, and a denormal number flushed to zero
+    bound = rounding.enlarged(2.0 * (inexact + unit * np.abs(stored)) + smallest, 3)
+    denormal = (stored != 0.0) & (np.abs(stored) < smallest)
+    bound = np.where((inexact == 0.0) & (held == stored) & ~denormal, 0.0, bound)
+    return np.where(np.isfinite(held), bound, np.inf)  # too large for the runtime: nothing is known
 
 
 def _activation(
-    layer: Activation, seen: LayerBounds, error: Array, unit: float, subnormal: float, runtime: float
+    layer: Activation, seen: LayerBounds, error: Array, unit: float, smallest: float, runtime: float
 ) -> Array:
     if layer.kind in ("relu", "clip"):
-        return error
+        return rounding.enlarged(error + smallest, 1)  # type: ignore[no-any-return]
     if layer.kind == "leaky_relu":
         factor = max(1.0, abs(layer.slope))
         size = rounding.enlarged(_magnitude(seen) + error, 1)
         # slope * x is rounded once at run time
-        return rounding.enlarged(error * factor + unit * factor * size + subnormal, 6)  # type: ignore[no-any-return]
+        return rounding.enlarged(error * factor + unit * factor * size + smallest, 6)  # type: ignore[no-any-return]
     # tanh' and sigmoid' are largest at the point nearest to zero
     low, high = rounding.down(seen.lower - error), rounding.up(seen.upper + error)
     nearest = np.where((low <= 0.0) & (high >= 0.0), 0.0, np.minimum(np.abs(low), np.abs(high)))
