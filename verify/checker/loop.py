@@ -12,7 +12,8 @@ from fractions import Fraction
 from typing import Any, TypeAlias
 
 from .contract import AffineMap, Contract
-from .network import Network, clip
+from .layers import clip
+from .network import Network
 from .taylor import Program, Segment, ball, compile_program, evaluate, solve
 
 Vector: TypeAlias = list[Any]
