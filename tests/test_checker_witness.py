@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import network
+from witnesses import GOOD_POLICY, GOOD_TEXT, HOLD, KEEP, MAP, PENDULUM, good, text_of, witness_of
 
 from setrl.models.binding import bind
 from setrl.models.onnx_reader import read_policy
@@ -19,61 +21,11 @@ from setrl.models.policy import Activation, Affine
 from setrl.models.simulation import simulate
 from setrl.specs.errors import InputError
 from setrl.specs.reader import find_specification, parse_specification
-from setrl.verify.checker.contract import read_contract
-from setrl.verify.checker.witness import Proof, Witness, prove, read_witness
+from setrl.verify.checker.proof import Shown, proof_of
+from setrl.verify.checker.question import Question, pose
+from setrl.verify.checker.witness import Proof, prove, read_witness
 
 F = Fraction
-
-BASE = """
-setrl: 1
-plant: PLANT
-controller: CONTROLLER
-horizon: HORIZON
-initial: INITIAL
-perturbation: PERTURBATION
-requirements:
-  - REQUIREMENT
-    name: it
-"""
-
-
-def text_of(plant: str, requirement: str, **given: str) -> bytes:
-    parts = {"controller": "{period: 0.1}", "horizon": "0.5", "perturbation": "{observation: 0.05}", **given}
-    text = BASE.replace("PLANT", plant).replace("REQUIREMENT", requirement)
-    for key, value in parts.items():
-        text = text.replace(key.upper(), value)
-    return text.encode()
-
-
-def linear(*rows: Any) -> bytes:
-    weight = np.array(rows, dtype=np.float64)
-    return policy_bytes((Affine(weight, np.zeros(len(weight))),), precision="float64")
-
-
-def witness_of(
-    policy: bytes,
-    specification: bytes,
-    initial: Any,
-    time: Any,
-    noise: Any = None,
-    disturbances: Any = None,
-    name: str = "it",
-) -> Witness:
-    contract = read_contract(specification)
-    periods, seen = contract.periods, len(contract.observe)
-    return Witness(
-        name,
-        None if time is None else F(time),
-        tuple(map(F, initial)),
-        tuple(tuple(map(F, row)) for row in (noise if noise is not None else [[0] * seen] * periods)),
-        tuple(
-            tuple(map(F, row))
-            for row in (disturbances if disturbances is not None else [[0] * len(contract.disturbances)] * periods)
-        ),
-        hashlib.sha256(policy).hexdigest(),
-        hashlib.sha256(specification).hexdigest(),
-        contract.plant_digest,
-    )
 
 
 def proved(policy: bytes, specification: bytes, *arguments: Any, **options: Any) -> Proof:
@@ -89,9 +41,6 @@ def refused(policy: bytes, specification: bytes, *arguments: Any, **options: Any
 
 
 # Closed forms: x' = u with u = -x held for 0.1 s, so that x is multiplied by 0.9 in every period -------------------
-
-HOLD = "{states: {x: m}, inputs: {u: m/s}, dynamics: {x: u}}"
-KEEP = linear([-1.0])
 
 
 @pytest.mark.parametrize(
@@ -148,11 +97,6 @@ def test_delay_clip_and_maps_are_exact() -> None:
 
 # Plants with known behaviour ----------------------------------------------------------------------------------------
 
-PENDULUM = "{states: {theta: rad, omega: rad/s}, inputs: {a: N}, disturbances: {d: N}, parameters: {g: 9.81}, "
-PENDULUM += "dynamics: {theta: omega, omega: g*sin(theta) + 15*a + d}}"
-MAP = "{states: {x: m, y: m}, inputs: {u: m}, disturbances: {d: m}, "
-MAP += 'dynamics: {"x+": 0.5*x + 0.3*sin(y) + u + d, "y+": 0.9*y - 0.2*x*y}}'
-
 
 def planted(specification: bytes, policy: bytes, gap: float, seed: int) -> Any:
     """A facet that one simulated trajectory leaves by `gap` at a time of the grid, its witness, and whether it does."""
@@ -197,19 +141,6 @@ def test_planted_violations_are_proved_and_near_misses_are_not(name: str, seed: 
 
 # Corrupted witnesses ------------------------------------------------------------------------------------------------
 
-GOOD_TEXT = text_of(
-    PENDULUM,
-    "stay: {theta: [-9, 0.2]}\n    during: [0.1, 0.5]",
-    initial="{theta: [0.1, 0.3], omega: 0}",
-    perturbation="{observation: {theta: 0.05}, disturbance: {d: {range: [-1, 0.5], varies: never}}}",
-)
-GOOD_POLICY = policy_bytes(network([2, 4, 1], ["tanh", "tanh"], 3, 0.1).layers)
-
-
-def good() -> Witness:
-    noise = [[F("0.05"), 0]] * 5
-    return witness_of(GOOD_POLICY, GOOD_TEXT, [F("0.3"), 0], "0.3", noise, [[F("0.5")]] * 5)
-
 
 def row(rows: Any, period: int, *values: Any) -> Any:
     return (*rows[:period], tuple(map(F, values)), *rows[period + 1 :])
@@ -244,8 +175,10 @@ def test_the_witness_that_is_corrupted_is_proved_before() -> None:
     found = prove(good(), GOOD_POLICY, GOOD_TEXT)
     assert isinstance(found, Proof) and found.grade == "proved (real)" and found.depth > 0.05
     assert found.sentence.startswith("`it` is left at 0.3 s by 0.")
-    wider = replace(good(), observation_radius=(F("0.06"), F(0)), noise=((F("0.06"), F(0)),) * 5)
-    assert isinstance(prove(wider, GOOD_POLICY, GOOD_TEXT), Proof)
+    wider = prove(
+        replace(good(), observation_radius=(F("0.06"), F(0)), noise=((F("0.06"), F(0)),) * 5), GOOD_POLICY, GOOD_TEXT
+    )
+    assert isinstance(wider, Proof) and "observation radius (0.06, 0), which is not the spec" in wider.sentence
 
 
 @pytest.mark.parametrize("name", CORRUPTED)
@@ -263,6 +196,30 @@ def test_other_files_are_rejected() -> None:
     broken = b"no model"
     foreign = replace(witness, policy=hashlib.sha256(broken).hexdigest())
     assert "cannot read" in str(prove(foreign, broken, GOOD_TEXT))
+
+
+def test_time_that_is_up_ends_the_attempt_between_two_periods() -> None:
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 2
+
+    assert prove(good(), GOOD_POLICY, GOOD_TEXT, stop=stop) == "the time is up"
+    assert len(asked) == 3
+    free = text_of("{states: {x: 1}, inputs: {u: 1}, dynamics: {x: 1}}", 'stay: "x <= 0.2"', initial="{x: 0}")
+    stopped = prove(witness_of(KEEP, free, [0], "0.5"), KEEP, free, stop=lambda: True)
+    assert stopped == "the time is up"  # the plant does not feel the action that is missing
+    assert isinstance(prove(good(), GOOD_POLICY, GOOD_TEXT, stop=lambda: False), Proof)
+
+
+@pytest.mark.parametrize("depth", [1e-30, 0.35888, 0.0999999999, 1.0, 12345.678, 7e22, 0.3588822932288076])
+def test_the_depth_in_the_sentence_is_not_larger_than_the_proved_one(depth: float) -> None:
+    question = pose(good(), GOOD_POLICY, GOOD_TEXT)
+    assert isinstance(question, Question)
+    found = proof_of(question, "proved (real)", [Shown(depth, 0.0, 160)], "somehow")
+    shown = re.search(r" by (\S+) from ", found.sentence)
+    assert shown is not None and F(depth) * F("0.99") < F(shown[1]) <= F(depth)
 
 
 def test_a_solution_that_blows_up_is_refused() -> None:
@@ -283,7 +240,8 @@ def test_a_witness_survives_its_file() -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("setrl-witness/1", "setrl-witness/2"),
+        ("setrl-witness/2", "setrl-witness/3"),
+        ("setrl-witness/2", "setrl-witness/1"),
         ('"3/10"', '"0.3"'),
         ('"3/10"', '"3/0"'),
         ('"3/10"', "0.3"),

@@ -3,15 +3,15 @@
 A proof has two halves: the witness is admitted by the specification (checked in rationals), and the one trajectory that
 belongs to it violates the requirement (checked with comparisons of balls that hold for all their points). What is not
 proved is refused with a sentence that says why.
+
+The trajectory is that of the network in exact real arithmetic, or that of a runtime's recorded actions: two proofs, of
+which one is enough.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -19,155 +19,44 @@ from typing import Any, TypeAlias
 
 from flint import arb, ctx
 
-from ...specs.errors import InputError, SetrlError
-from .contract import Contract, Requirement, read_contract
 from .loop import periods
-from .network import Network, read_network
+from .proof import BOTH, DEPLOYED, REAL, Proof, Shown, decimal, proof_of
+from .question import Question, pose
+from .recorded import Answer, deployed_action, input_floats, recorded_answer, without_controller
 from .regions import Polytope, Region
 from .taylor import ball
+from .witness_file import Numbers, Recording, Witness, read_witness
 
-Numbers: TypeAlias = tuple[Fraction, ...]
+__all__ = ["Proof", "Recording", "Witness", "prove", "read_witness", "record"]
+
 Vector: TypeAlias = list[Any]
+Stop: TypeAlias = Callable[[], bool]
 
-FORMAT = "setrl-witness/1"
-MAX_BYTES = 64 << 20
 PRECISIONS = (160, 320, 640, 1280)
 """Bits, one after the other until the comparison is decided."""
 
-_RATIONAL = re.compile(r"-?[0-9]{1,1200}(/[1-9][0-9]{0,1200})?", re.ASCII)
-
 
 @dataclass(frozen=True)
-class Witness:
-    """A proposed violation, all numbers exact.
+class _Refusal:
+    """Why nothing is shown; `cost` is how many attempts with more bits that makes hopeless, all by default."""
 
-    Attributes
-    ----------
-    requirement : str
-    time : Fraction or None
-        Seconds at which an `avoid` or `stay` requirement is violated; None for `reach`, which is missed at every
-        sampling instant of its window.
-    initial : tuple of Fraction
-        In the plant's order of states.
-    noise : tuple of tuples of Fraction, periods x observations
-    disturbances : tuple of tuples of Fraction, periods x disturbances
-    policy, specification, plant : str
-        sha256 of the files' bytes; `plant` is "" where the specification contains its plant.
-    observation_radius : tuple of Fraction, optional
-        Instead of the specification's, where the question was asked for other radii.
-    """
-
-    requirement: str
-    time: Fraction | None
-    initial: Numbers
-    noise: tuple[Numbers, ...]
-    disturbances: tuple[Numbers, ...]
-    policy: str
-    specification: str
-    plant: str = ""
-    observation_radius: Numbers | None = None
-
-    def to_json(self) -> str:
-        """Text of a witness file: rationals as strings, the same text for the same witness."""
-        radius = self.observation_radius
-        data = {
-            "format": FORMAT,
-            "requirement": self.requirement,
-            "time": None if self.time is None else str(self.time),
-            "initial": _texts(self.initial),
-            "noise": [_texts(row) for row in self.noise],
-            "disturbances": [_texts(row) for row in self.disturbances],
-            "policy": self.policy,
-            "specification": self.specification,
-            "plant": self.plant,
-            "observation_radius": None if radius is None else _texts(radius),
-        }
-        lines = [f"  {json.dumps(key)}: {json.dumps(value, ensure_ascii=False)}" for key, value in data.items()]
-        return "{\n" + ",\n".join(lines) + "\n}\n"
+    reason: str
+    cost: int = len(PRECISIONS)
 
 
-def _texts(numbers: Numbers) -> list[str]:
-    return [str(number) for number in numbers]
+Control: TypeAlias = Callable[[int, Vector], Vector | _Refusal]
+"""The action for a period and its observation, perturbed and mapped by `before`."""
 
 
-def read_witness(content: bytes) -> Witness:
-    """Read a witness file; `InputError` where it is not exactly of the format."""
-    if len(content) > MAX_BYTES:
-        raise InputError(f"the witness has more than {MAX_BYTES} bytes")
-    try:
-        pairs = json.loads(content.decode("utf-8"), object_pairs_hook=list)
-    except (ValueError, RecursionError) as error:
-        raise InputError("the witness is no JSON document") from error
-    names = ("format", "requirement", "time", "initial", "noise", "disturbances", "policy", "specification", "plant")
-    keys = (*names, "observation_radius")
-    if not isinstance(pairs, list) or [entry[0] for entry in pairs if isinstance(entry, tuple)] != list(keys):
-        raise InputError(f"a witness has the keys {', '.join(keys)}, each once")
-    data = dict(pairs)
-    texts = [data[key] for key in ("format", "requirement", "policy", "specification", "plant")]
-    if texts[0] != FORMAT or not all(isinstance(text, str) for text in texts):
-        raise InputError(f"a witness of format {FORMAT} is required")
-    radius = data["observation_radius"]
-    return Witness(
-        requirement=texts[1],
-        time=None if data["time"] is None else _rational(data["time"]),
-        initial=_rationals(data["initial"]),
-        noise=_rows(data["noise"]),
-        disturbances=_rows(data["disturbances"]),
-        policy=texts[2],
-        specification=texts[3],
-        plant=texts[4],
-        observation_radius=None if radius is None else _rationals(radius),
-    )
-
-
-def _rational(value: Any) -> Fraction:
-    if not isinstance(value, str) or not _RATIONAL.fullmatch(value):
-        raise InputError("numbers of a witness are texts such as -3/8")
-    return Fraction(value)
-
-
-def _rationals(value: Any) -> Numbers:
-    if not isinstance(value, list):
-        raise InputError("a list of numbers is required")
-    return tuple(map(_rational, value))
-
-
-def _rows(value: Any) -> tuple[Numbers, ...]:
-    if not isinstance(value, list):
-        raise InputError("a list of lists of numbers is required")
-    return tuple(map(_rationals, value))
-
-
-@dataclass(frozen=True)
-class Proof:
-    """A violation that is proved in exact real arithmetic.
-
-    Attributes
-    ----------
-    grade : str
-        "proved (real)": of the network in exact real arithmetic on its stored numbers.
-    sentence : str
-    requirement, kind : str
-    time : Fraction or None
-    depth : float
-        By how much at least, in the requirement's unit.
-    radius : float
-        Largest radius of the state's enclosure where the violation is read off, an upper bound.
-    precision : int
-        Bits.
-    """
-
-    grade: str
-    sentence: str
-    requirement: str
-    kind: str
-    time: Fraction | None
-    depth: float
-    radius: float
-    precision: int
-
-
-def prove(witness: Witness, policy: bytes, specification: bytes, folder: Path | None = None) -> Proof | str:
+def prove(
+    witness: Witness,
+    policy: bytes,
+    specification: bytes,
+    folder: Path | None = None,
+    *,
+    replayed: str = "",
+    stop: Stop | None = None,
+) -> Proof | str:
     """Prove a witness's violation.
 
     Parameters
@@ -177,133 +66,189 @@ def prove(witness: Witness, policy: bytes, specification: bytes, folder: Path | 
         Of the two files.
     folder : Path, optional
         Of the specification, where relative paths of plant files start.
+    replayed : str, optional
+        Name and version of the runtime that returned exactly the recorded actions when the caller ran it again on the
+        recorded observations. Without it a recording proves nothing: it might be invented.
+    stop : callable, optional
+        Asked once per control period; True ends the attempt.
 
     Returns
     -------
     Proof or str
         Why there is none.
     """
-    if hashlib.sha256(policy).hexdigest() != witness.policy:
-        return "the witness is about another policy: the digests differ"
-    if hashlib.sha256(specification).hexdigest() != witness.specification:
-        return "the witness is about another specification: the digests differ"
-    try:
-        contract, network = read_contract(specification, folder), read_network(policy)
-    except SetrlError as error:
-        return f"the checker cannot read the files: {error}"
-    if contract.plant_digest != witness.plant:
-        return "the witness is about another plant: the digests differ"
-    if witness.observation_radius is not None:
-        contract = replace(contract, radius=witness.observation_radius)
-    requirement = next((entry for entry in contract.requirements if entry.name == witness.requirement), None)
-    if requirement is None:
-        return f"the specification has no requirement {witness.requirement[:60]!r}"
-    problem = _wiring(contract, network) or _membership(contract, witness) or _timing(contract, requirement, witness)
-    if problem:
-        return problem
-    outcome, attempts = "", 0
+    question = pose(witness, policy, specification, folder)
+    if isinstance(question, str):
+        return question
+    real = _attempt(question, lambda _, observation: question.network(observation), stop)
+    if witness.deployed is None:
+        return real.reason if isinstance(real, _Refusal) else proof_of(question, REAL, [real], _EXACTLY)
+    executed = _executed(question, witness.deployed, policy, replayed, stop)
+    actions = f"for the actions that {replayed} computes"
+    if isinstance(real, Shown):
+        if isinstance(executed, Shown):
+            return proof_of(question, BOTH, [real, executed], f"{_EXACTLY} and {actions}")
+        return proof_of(question, REAL, [real], _EXACTLY, executed.reason)
+    if isinstance(executed, Shown):
+        return proof_of(question, DEPLOYED, [executed], f"{actions}, not {_EXACTLY} ({real.reason})")
+    return f"{real.reason}; as deployed: {executed.reason}"
+
+
+_EXACTLY = "in exact real arithmetic"
+
+
+def _executed(
+    question: Question, recording: Recording, policy: bytes, replayed: str, stop: Stop | None
+) -> Shown | _Refusal:
+    """What the recorded actions show."""
+    if not replayed:
+        return _Refusal("the recorded actions were not run again, or the runtime returns others")
+    rows = (*recording.observations, *recording.actions)
+    sizes = [question.network.inputs] * question.periods + [question.network.outputs] * question.periods
+    if len(recording.observations) != question.periods or [len(row) for row in rows] != sizes:
+        return _Refusal(f"recorded observations and actions of {question.periods} periods are required")
+    return _driven(question, policy, recorded_answer(recording), stop)
+
+
+def record(
+    witness: Witness,
+    policy: bytes,
+    specification: bytes,
+    folder: Path | None = None,
+    *,
+    run: Callable[[Numbers], Numbers | None],
+    runtime: str,
+    stop: Stop | None = None,
+) -> Witness | str:
+    """Record what a runtime does from a witness's start under its perturbations.
+
+    The plant is enclosed as in the proof, so that every observation is the correctly rounded one.
+
+    Parameters
+    ----------
+    witness : Witness
+    policy, specification : bytes
+    folder : Path, optional
+    run : callable
+        The ONNX file as the runtime executes it on one row: exact input in, exact output out, or None where the output
+        is not finite.
+    runtime : str
+        Its name and version.
+    stop : callable, optional
+        As in `prove`.
+
+    Returns
+    -------
+    Witness or str
+        The same witness with its recording; or why the runtime's actions show no violation.
+    """
+    question = pose(witness, policy, specification, folder)
+    if isinstance(question, str):
+        return question
+    rows: dict[int, tuple[Numbers, Numbers]] = {}
+
+    def answer(period: int, entered: Numbers) -> Numbers | str:
+        if period not in rows:  # with more bits every period is asked again, and rounds to the same
+            returned = run(entered)
+            if returned is None:
+                return f"the runtime's output in period {period} is not finite"
+            rows[period] = entered, returned
+        return rows[period][1]
+
+    shown = _driven(question, policy, answer, stop)
+    if isinstance(shown, _Refusal):
+        return shown.reason
+    pairs = [rows[period] for period in range(question.periods)]
+    recording = Recording(runtime, tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs))
+    return replace(witness, deployed=recording)
+
+
+def _driven(question: Question, policy: bytes, answer: Answer, stop: Stop | None) -> Shown | _Refusal:
+    """What the plant shows under a runtime's actions."""
+    floats, contract = input_floats(policy), question.contract
+    if floats is None:
+        return _Refusal("the network takes and returns numbers of two types")
+
+    def control(period: int, observation: Vector) -> Vector | _Refusal:
+        action = deployed_action(contract, floats, answer, period, observation)
+        if isinstance(action, tuple):
+            reason, undecided = action
+            return _Refusal(reason, 1) if undecided else _Refusal(reason)
+        return action
+
+    return _attempt(replace(question, contract=without_controller(contract)), control, stop)
+
+
+class _Network:
+    """What the loop asks for the network's output in every period; it remembers why it gave none."""
+
+    def __init__(self, question: Question, control: Control, stop: Stop | None) -> None:
+        contract = question.contract
+        self.control, self.stop, self.period = control, stop, 0
+        self.outputs = len(contract.plant.inputs if contract.after is None else contract.after.matrix[0])
+        self.refusal: _Refusal | None = None
+
+    def __call__(self, observation: Vector) -> Vector:
+        if self.stop is not None and self.stop():
+            answer: Vector | _Refusal = _Refusal("the time is up")
+        else:
+            answer = self.control(self.period, observation)
+        self.period += 1
+        if isinstance(answer, _Refusal):
+            self.refusal = answer
+            return [arb("nan")] * self.outputs
+        return answer
+
+
+def _attempt(question: Question, control: Control, stop: Stop | None) -> Shown | _Refusal:
+    """The violation of one trajectory, with as many bits as it needs."""
+    cost, found = 0, _Refusal("nothing was tried")
     for precision in PRECISIONS:
         with ctx.workprec(precision):
-            found = _violation(contract, network, requirement, witness)
-        if isinstance(found, Proof):
-            return found
-        outcome, cost = found
-        attempts += cost
-        if attempts >= len(PRECISIONS):
+            outcome = _violation(question, _Network(question, control, stop))
+        if isinstance(outcome, Shown):
+            return outcome
+        found = outcome
+        cost += found.cost
+        if cost >= len(PRECISIONS):
             break
-    return outcome
+    return found
 
 
-def _wiring(contract: Contract, network: Network) -> str:
-    """Why the three files do not fit each other, or ""."""
-    seen, actions = len(contract.observe), len(contract.plant.inputs)
-    before, after = contract.before, contract.after
-    if before is not None and (len(before.matrix[0]) != seen or len(before.matrix) != network.inputs):
-        return "the map before the network does not fit"
-    if after is not None and (len(after.matrix[0]) != network.outputs or len(after.matrix) != actions):
-        return "the map after the network does not fit"
-    if (before is None and seen != network.inputs) or (after is None and network.outputs != actions):
-        return "the network does not fit the plant"
-    if len(contract.radius) != seen or any(radius < 0 for radius in contract.radius):
-        return "the observation's radii do not fit"
-    return ""
-
-
-def _membership(contract: Contract, witness: Witness) -> str:
-    """Why the specification does not admit the witness, or "". Rationals only."""
-    if not _within(witness.initial, contract.initial):
-        return "the initial state is outside the initial set"
-    if len(witness.noise) != contract.periods or len(witness.disturbances) != contract.periods:
-        return f"perturbations of {contract.periods} periods are required"
-    box = tuple((-radius, radius) for radius in contract.radius)
-    bounds = tuple(entry.bounds for entry in contract.disturbances)
-    for number, (noise, disturbance) in enumerate(zip(witness.noise, witness.disturbances, strict=True)):
-        if not _within(noise, box):
-            return f"the perturbation of the observation in period {number} is outside its radius"
-        if not _within(disturbance, bounds):
-            return f"a disturbance in period {number} is outside its bounds"
-        held = zip(contract.disturbances, disturbance, witness.disturbances[0], strict=True)
-        if any(entry.constant and value != first for entry, value, first in held):
-            return f"a disturbance that never varies changes in period {number}"
-    return ""
-
-
-def _within(values: Numbers, bounds: Sequence[tuple[Fraction, Fraction]]) -> bool:
-    return len(values) == len(bounds) and all(low <= x <= high for x, (low, high) in zip(values, bounds, strict=True))
-
-
-def _timing(contract: Contract, requirement: Requirement, witness: Witness) -> str:
-    if requirement.kind == "reach":
-        return "" if witness.time is None else "a witness against reach has no single time"
-    if witness.time is None or not requirement.start <= witness.time <= requirement.end:
-        return f"the time is outside the requirement's window [{requirement.start}, {requirement.end}]"
-    if contract.plant.discrete and (witness.time / contract.period).denominator != 1:
-        return "a discrete-time plant has no state at this time"
-    return ""
-
-
-def _violation(
-    contract: Contract, network: Network, requirement: Requirement, witness: Witness
-) -> Proof | tuple[str, int]:
-    """A proof; or why there is none, and how many precisions that costs: all where none could change the answer."""
-    period = contract.period
-    if requirement.kind == "reach":
-        first, last = math.ceil(requirement.start / period), math.floor(requirement.end / period)
-        times = [number * period for number in range(first, last + 1)]
-    else:
-        times = [] if witness.time is None else [witness.time]
-    waiting = list(times)
-    if not waiting:
-        return "no sampling instant is in the requirement's window", len(PRECISIONS)
+def _violation(question: Question, network: _Network) -> Shown | _Refusal:
+    requirement, waiting = question.requirement, list(question.times)
     depths, radius = [], arb(0)
-    for state, time in _states(contract, network, witness, times):
+    for state, time in _states(question, network):
         depth = inside(requirement.region, state) if requirement.kind == "avoid" else outside(requirement.region, state)
         waiting.pop(0)
-        radius = radius.max(_radius(state))
+        radius = radius.max(_extreme([value.rad() for value in state], "max"))
         if not depth > 0 and not (requirement.kind == "avoid" and depth >= 0):
             if depth < 0:
                 side = "outside" if requirement.kind == "avoid" else "inside"
-                return f"the trajectory is provably {side} the region at {_decimal(time)} s", len(PRECISIONS)
-            return f"the enclosure at {_decimal(time)} s is too wide to decide ({ctx.prec} bits)", 1
+                return _Refusal(f"the trajectory is provably {side} the region at {decimal(time)} s")
+            return _Refusal(f"the enclosure at {decimal(time)} s is too wide to decide ({ctx.prec} bits)", 1)
         depths.append(depth)
+    if network.refusal is not None:
+        return network.refusal
     if waiting:
-        return f"the trajectory could not be enclosed up to {_decimal(waiting[0])} s ({ctx.prec} bits)", len(
-            PRECISIONS
-        ) // 2
-    return _proof(contract, requirement, witness, times, min(_below(depth) for depth in depths), radius)
+        reason = f"the trajectory could not be enclosed up to {decimal(waiting[0])} s ({ctx.prec} bits)"
+        return _Refusal(reason, len(PRECISIONS) // 2)
+    return Shown(min(_below(depth) for depth in depths), _above(radius), ctx.prec)
 
 
-def _states(contract: Contract, network: Network, witness: Witness, times: list[Fraction]) -> Any:
-    """The trajectory's states at increasing times, as far as it could be enclosed."""
-    waiting = list(times)
-    state = [ball(value) for value in witness.initial]
+def _states(question: Question, network: _Network) -> Iterator[tuple[Vector, Fraction]]:
+    """The trajectory's states at the times that are asked for, as far as it could be enclosed."""
+    contract, witness, waiting = question.contract, question.witness, list(question.times)
     if waiting[0] == 0:
-        yield state, waiting.pop(0)
+        yield [ball(value) for value in witness.initial], waiting.pop(0)
     if not waiting:
         return
     given = (witness.initial, witness.noise, witness.disturbances)
-    for entry in periods(contract, network, *given, until=times[-1]):
-        if waiting[0] == min((entry.number + 1) * contract.period, times[-1]):
+    called: Any = network  # the loop does nothing with a network but call it
+    for entry in periods(contract, called, *given, until=waiting[-1]):
+        if network.refusal is not None:
+            return
+        if waiting[0] == min((entry.number + 1) * contract.period, waiting[-1]):
             yield entry.end, waiting.pop(0)
 
 
@@ -329,41 +274,6 @@ def _extreme(values: Vector, which: str) -> Any:
     for value in values[1:]:
         result = result.max(value) if which == "max" else result.min(value)
     return result
-
-
-def _radius(state: Vector) -> Any:
-    return _extreme([value.rad() for value in state], "max")
-
-
-def _proof(
-    contract: Contract, requirement: Requirement, witness: Witness, times: list[Fraction], depth: float, radius: Any
-) -> Proof:
-    start = ", ".join(
-        f"{name} = {_decimal(value)}" for name, value in zip(contract.plant.states, witness.initial, strict=True)
-    )
-    when = f"at {_decimal(times[0])} s"
-    if len(times) > 1:
-        when = f"at every sampling instant from {_decimal(times[0])} s to {_decimal(times[-1])} s"
-    verb = {"avoid": "entered", "stay": "left", "reach": "missed"}[requirement.kind]
-    wide = _above(radius)
-    sentence = (
-        f"`{requirement.name}` is {verb} {when} by {_floor(depth)} from {start}; "
-        f"proved in exact real arithmetic (enclosure radius {wide:.1g})"
-    )
-    real = "proved (real)"
-    return Proof(real, sentence, requirement.name, requirement.kind, witness.time, depth, wide, ctx.prec)
-
-
-def _decimal(value: Fraction) -> str:
-    return f"{float(value):.6g}"
-
-
-def _floor(depth: float) -> str:
-    """Three digits that are not above a number that is not negative."""
-    text = f"{depth:.3g}"
-    if Fraction(text) > Fraction(depth):
-        text = f"{depth - 0.01 * depth:.3g}"
-    return text
 
 
 def _below(value: Any) -> float:
