@@ -123,3 +123,46 @@ def test_a_program_computes_equal_subexpressions_once() -> None:
     assert sum(step[0] == "sin" for step in twice.steps) == 1
     with ctx.workprec(128):
         assert evaluate(twice, [arb(0.5)])[0].contains(arb(0.5).sin() ** 2 + arb(0.5).sin())
+
+
+@pytest.mark.parametrize(
+    ("text", "operations"),
+    [
+        ("x**2", ["square"]),
+        ("x*x", ["square"]),
+        ("x**3", ["square", "*"]),
+        ("x**6", ["square", "*", "square"]),
+        ("x**-2", ["square", "reciprocal"]),
+        ("x/(2/3) - 0*1", ["constant", "*", "constant", "-"]),
+        ("(1 - 1 + x)*(3/3)", []),
+        ("log(x)**0*5", ["constant"]),
+        ("2*3 + 4**-1", ["constant"]),
+        ("tan(x)", ["sin", "cos", "reciprocal", "*"]),
+        ("log(x) + 1/x", ["log", "reciprocal", "+"]),
+        ("sqrt(x)", ["sqrt", "+", "reciprocal"]),
+        ("tanh(x)", ["tanh", "constant", "square", "-"]),
+    ],
+)
+def test_a_program_has_the_steps_that_have_recurrences_and_no_others(text: str, operations: list[str]) -> None:
+    assert [step[0] for step in program(text).steps] == operations
+    values = {"sqrt(x)": 1, "tanh(x)": 1, "tan(x)": 4, "log(x) + 1/x": 3}
+    assert len(program(text).direct) == values.get(text, len(operations))
+
+
+def test_a_program_names_its_inputs() -> None:
+    with pytest.raises(KeyError):
+        program("x + z")
+    with pytest.raises(AssertionError):
+        evaluate(program("x + y", inputs="x y"), [arb(1)])
+
+
+def test_wide_balls_have_the_ranges_of_the_functions() -> None:
+    with ctx.workprec(128):
+        for text, start, low, high in (
+            ("x**2", arb(0, 2), 0, 4),
+            ("exp(x)", arb(0, 1), -1, 1),
+            ("x**4", arb(0, 1), 0, 1),
+        ):
+            found = evaluate(program(text), [start])[0]
+            ends = [arb(end).exp() if text == "exp(x)" else arb(end) for end in (low, high)]
+            assert all(found.overlaps(end) for end in ends) and found.rad() < (ends[1] - ends[0]) / 2 * (1 + 1e-6)

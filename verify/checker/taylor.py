@@ -16,9 +16,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, TypeAlias
 
-from flint import arb, ctx, fmpq
+from flint import arb, ctx
 
-from .expressions import Expression, Name, Number, Operation, Power
+from .jets import flow_jets, map_jets
+from .program import Program, ball, compile_program
+
+__all__ = ["Program", "Segment", "ball", "between", "coefficients", "compile_program", "evaluate", "solve"]
 
 Vector: TypeAlias = list[Any]
 
@@ -27,167 +30,19 @@ SMALLEST_STEP, MOST_STEPS = 2**14, 1000
 """Where the expansion gives up: parts of a duration that are smaller, or more of them."""
 
 
-def ball(value: Fraction) -> Any:
-    """A ball that contains a rational."""
-    return arb(fmpq(value.numerator, value.denominator))
-
-
 def between(low: Fraction, high: Fraction) -> Any:
     """A ball that contains ``[low, high]``."""
     return ball(low).union(ball(high))
 
 
-@dataclass(frozen=True)
-class Program:
-    """Expressions as a list of operations, each distinct subexpression once.
-
-    Slot i < len(inputs) is an input; the others are ``(operation, operand slots, constant)``. `outputs` are slots.
-    """
-
-    inputs: tuple[str, ...]
-    steps: tuple[tuple[str, tuple[int, ...], Fraction], ...]
-    outputs: tuple[int, ...]
-
-
-def compile_program(expressions: Sequence[Expression], inputs: Sequence[str]) -> Program:
-    """Put expressions into a program; a name that is no input is a KeyError."""
-    slots: dict[Any, int] = {name: slot for slot, name in enumerate(inputs)}
-    steps: list[tuple[str, tuple[int, ...], Fraction]] = []
-
-    def emit(operation: str, *operands: int, value: Fraction = Fraction(0)) -> int:
-        key = (operation, operands, value)
-        if key not in slots:
-            slots[key] = len(inputs) + len(steps)
-            steps.append(key)
-        return slots[key]
-
-    def power(base: int, exponent: int) -> int:
-        if exponent == 0:
-            return emit("constant", value=Fraction(1))
-        if exponent < 0:
-            return emit("/", emit("constant", value=Fraction(1)), power(base, -exponent))
-        half = power(base, exponent // 2) if exponent > 1 else base
-        if exponent == 1:
-            return base
-        square = emit("*", half, half)
-        return square if exponent % 2 == 0 else emit("*", square, base)
-
-    def visit(tree: Expression) -> int:
-        match tree:
-            case Number(value):
-                return emit("constant", value=value)
-            case Name(name):
-                return slots[name]
-            case Power(base, exponent):
-                return power(visit(base), exponent)
-            case Operation("tan", (argument,)):
-                slot = visit(argument)
-                return emit("/", emit("sin", slot), emit("cos", slot))
-            case Operation(operator, operands):
-                return emit(operator, *map(visit, operands))
-        raise AssertionError(f"unknown expression {tree!r}")
-
-    outputs = tuple(visit(tree) for tree in expressions)
-    return Program(tuple(inputs), tuple(steps), outputs)
-
-
-class _Expansion:
-    """Taylor coefficients of every slot of a program, order by order."""
-
-    def __init__(self, program: Program) -> None:
-        self.program = program
-        count = len(program.inputs) + len(program.steps)
-        self.slots: list[Vector] = [[] for _ in range(count)]
-        self.partners: list[Vector] = [[] for _ in range(count)]
-        """cos beside sin, sin beside cos, 1 - tanh^2 beside tanh: their recurrences need each other."""
-
-    def extend(self, inputs: Sequence[Any]) -> Vector:
-        """Append one order: coefficients of the inputs in, of the outputs out."""
-        for slot, value in enumerate(inputs):
-            self.slots[slot].append(value)
-        order = len(self.slots[0]) - 1
-        for position, (operation, operands, constant) in enumerate(self.program.steps):
-            slot = len(self.program.inputs) + position
-            if operation == "constant":
-                self.slots[slot].append(ball(constant) if order == 0 else arb(0))
-            else:
-                self.slots[slot].append(self.coefficient(operation, slot, [self.slots[i] for i in operands], order))
-        return [self.slots[slot][order] for slot in self.program.outputs]
-
-    def coefficient(self, operation: str, slot: int, operands: list[Vector], k: int) -> Any:
-        a, b = operands[0], operands[-1]
-        match operation:
-            case "+":
-                return a[k] + b[k]
-            case "-":
-                return a[k] - b[k]
-            case "neg":
-                return -a[k]
-            case "*":
-                return _convolution(a, b, 0, k)
-            case "/":  # q b = a
-                return (a[k] - _convolution(b, self.slots[slot], 1, k)) / b[0]
-        return self.function(operation, self.slots[slot], self.partners[slot], a, k)
-
-    def function(self, name: str, y: Vector, partner: Vector, a: Vector, k: int) -> Any:
-        if k == 0:
-            partner.extend(_partner_of(name, a[0]))
-            return a[0].sqrt() if name == "sqrt" else getattr(a[0], name)()
-        match name:
-            case "exp":  # y' = y a'
-                return _weighted(a, y, k) / k
-            case "log":  # a y' = a'
-                return (a[k] - _weighted(y, a, k - 1, k) / k) / a[0]
-            case "sqrt":  # y y = a
-                return (a[k] - sum((y[j] * y[k - j] for j in range(1, k)), arb(0))) / (2 * y[0])
-            case "sin" | "cos":  # sin' = cos a', cos' = -sin a'
-                sign = 1 if name == "sin" else -1
-                result = sign * _weighted(a, partner, k) / k
-                partner.append(-sign * _weighted(a, y, k) / k)
-                return result
-            case "tanh":  # y' = (1 - y^2) a'
-                result = _weighted(a, partner, k) / k
-                partner.append(-sum((u * v for u, v in zip([*y, result], reversed([*y, result]), strict=True)), arb(0)))
-                return result
-        raise AssertionError(f"unknown function {name}")
-
-
-def _partner_of(name: str, a: Any) -> Vector:
-    match name:
-        case "sin":
-            return [a.cos()]
-        case "cos":
-            return [a.sin()]
-        case "tanh":
-            return [1 - a.tanh() * a.tanh()]
-    return []
-
-
-def _convolution(a: Vector, b: Vector, first: int, k: int) -> Any:
-    """``sum_(j=first..k) a_j b_(k-j)``."""
-    return sum((a[j] * b[k - j] for j in range(first, k + 1)), arb(0))
-
-
-def _weighted(a: Vector, y: Vector, last: int, k: int | None = None) -> Any:
-    """``sum_(j=1..last) j a_j y_(k-j)``, k = last where it is not given."""
-    order = last if k is None else k
-    return sum((j * a[j] * y[order - j] for j in range(1, last + 1)), arb(0))
-
-
 def evaluate(program: Program, inputs: Sequence[Any]) -> Vector:
     """Enclose a program's outputs for all points of a vector of balls."""
-    return _Expansion(program).extend(inputs)
+    return [value for (value,) in map_jets(program, inputs, 0, ())]
 
 
 def coefficients(program: Program, state: Sequence[Any], held: Sequence[Any], order: int) -> list[Vector]:
     """Taylor coefficients 0 .. order of the solution that starts at `state`, inputs and disturbances `held`."""
-    expansion = _Expansion(program)
-    found = [list(state)]
-    for k in range(order):
-        rest = list(held) if k == 0 else [arb(0)] * len(held)
-        slope = expansion.extend([*found[k], *rest])
-        found.append([value / (k + 1) for value in slope])
-    return found
+    return [[value for (value,) in row] for row in flow_jets(program, [*state, *held], 0, order + 1, ())]
 
 
 @dataclass(frozen=True)
