@@ -7,7 +7,7 @@ fused multiply-add: with u = 2^-24 and g_k = k u / (1 - k u),
     affine: e = |W| (e + 2^-126) + g_(k+1) (|W| (mag + e) + |b|) + 2^-126 (k + 1 + |mag + e|_1)
             (the last terms are underflow, denormal numbers flushed to zero or not),
     ReLU, LeakyReLU and Clip are 1-Lipschitz (LeakyReLU: times the slope, plus its rounding), plus 2^-126,
-    tanh, sigmoid: e max f' + the runtime's own error.
+    tanh, sigmoid: e max f' + the runtime's own error (`runtime_error`).
 
 A float64 network uses u = 2^-53 in the same formulas.
 """
@@ -23,14 +23,12 @@ from numpy.typing import NDArray
 from ..models.policy import Activation, Affine, Layer
 from . import rounding
 from .network import LayerBounds
+from .runtime_error import runtime_error
 
 Array = NDArray[np.float64]
 
 PRECISIONS = {"float32": (2.0**-24, 2.0**-126), "float64": (2.0**-53, 2.0**-1022)}
 """Unit roundoff and smallest normal number; what is smaller may be flushed to zero anywhere."""
-RUNTIME_ERROR = {"float32": 2.0**-21, "float64": 2.0**-48}
-"""Absolute error of the runtime's own tanh and sigmoid. Measured on onnxruntime 1.31: 3.3e-7 in float32 (2^-21 is
-4.8e-7), 9.7e-16 in float64 near |x| = 16 (2^-48 is 3.6e-15). The claim names the version."""
 
 
 def deployed_error(layers: Sequence[Layer], bounds: Sequence[LayerBounds], precision: str) -> Array:
@@ -48,6 +46,7 @@ def deployed_error(layers: Sequence[Layer], bounds: Sequence[LayerBounds], preci
     array, shape (B, outputs)
     """
     unit, smallest = PRECISIONS[precision]
+    runtime = runtime_error(precision)
     first = _magnitude(bounds[0])
     error = rounding.enlarged(unit * first + smallest, 2)
     for layer, seen in zip(layers, bounds, strict=True):
@@ -55,7 +54,7 @@ def deployed_error(layers: Sequence[Layer], bounds: Sequence[LayerBounds], preci
         if isinstance(layer, Affine):
             error = _affine(layer, size, error, precision)
         else:
-            error = _activation(layer, seen, error, unit, smallest, RUNTIME_ERROR[precision])
+            error = _activation(layer, seen, error, unit, smallest, runtime)
     return np.asarray(error)
 
 
