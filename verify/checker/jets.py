@@ -118,7 +118,7 @@ class _Series:
             case "neg":
                 return algebra.subtract(None, a[k])
             case "square":
-                return algebra.convolve(a, a[::-1]) if k else algebra.square(a[0])
+                return self.square(a, k) if k else algebra.square(a[0])
         if k == 0:
             return self.start(operation, operands[0], a[0])
         if operation == "reciprocal":
@@ -129,6 +129,13 @@ class _Series:
             weighted.append(algebra.scale(a[k], k))
         inverse = 1 / arb(-k if operation == "cos" else k)
         return algebra.scale(algebra.convolve(weighted, b[k - 1 :: -1]), inverse)
+
+    def square(self, a: list[Any], k: int) -> Any:
+        """``sum_(j=0..k) a_j a_(k-j)``, equal products once."""
+        half = (k + 1) // 2
+        twice = self.algebra.scale(self.algebra.convolve(a[:half], a[k : k - half : -1]), 2)
+        middle = [] if k % 2 else [a[half]]
+        return self.algebra.add(twice, self.algebra.convolve(middle, middle))
 
     def start(self, operation: str, argument: int, a: Any) -> Any:
         """Coefficient 0 of a function."""
