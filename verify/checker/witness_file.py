@@ -20,7 +20,7 @@ KEYS = (
     *("format", "requirement", "time", "initial", "noise", "disturbances", "policy", "specification", "plant"),
     "observation_radius",
 )
-MAX_BYTES, MAX_NUMBERS, MAX_DIGITS = 16 << 20, 250_000, 1200
+MAX_BYTES, MAX_NUMBERS, MAX_DIGITS = 16 << 20, 100_000, 1200
 """A file with more is refused before it is taken apart, so that no file keeps a reader busy."""
 
 _RATIONAL = re.compile(rf"(-?[0-9]{{1,{MAX_DIGITS}}})(?:/([1-9][0-9]{{0,{MAX_DIGITS}}}))?", re.ASCII)
