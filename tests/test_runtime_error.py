@@ -162,6 +162,20 @@ def test_a_place_that_cannot_be_read_is_no_crash(cache_folder: Path, monkeypatch
         runtime_error.store_measurement(measured(2.0**-22))
 
 
+def test_a_place_that_cannot_be_written_is_found_before_the_measurement() -> None:
+    path = runtime_error.require_storable()
+    assert path == runtime_error.measurement_path() and path.parent.is_dir() and not path.exists()
+    path.mkdir()
+    with pytest.raises(InputError, match="a file is needed"):
+        runtime_error.require_storable()
+    assert runtime_error.runtime_error("float32") == SHIPPED["float32"]
+    path.rmdir()
+    path.parent.rmdir()
+    path.parent.write_text("a file where the folder should be")
+    with pytest.raises(InputError, match="no folder can be made"):
+        runtime_error.require_storable()
+
+
 def test_half_a_measurement_and_one_of_another_runtime_are_not_stored() -> None:
     with pytest.raises(AssertionError, match="part of all float32 numbers"):
         runtime_error.store_measurement(measured(2.0**-22, exhaustive=False))

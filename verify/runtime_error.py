@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ..specs.errors import InputError
-from ..specs.files import write_atomically
+from ..specs.files import require_writable, write_atomically
 
 RUNTIME = "onnxruntime"
 RUNTIME_ERROR = {"float32": 2.0**-21, "float64": 2.0**-48}
@@ -156,6 +156,32 @@ def measurement_path() -> Path:
     return folder / "setrl" / f"{name}.json"
 
 
+def require_storable() -> Path:
+    """Make the folder for measurements, and find out before the work whether one can be written.
+
+    Returns
+    -------
+    path
+        Where `store_measurement` writes.
+
+    Raises
+    ------
+    InputError
+        Naming the path and the remedy.
+    """
+    path = measurement_path()
+    if not path.is_absolute():
+        raise InputError("there is no home folder to store a measurement in", remedy="set XDG_CACHE_HOME")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        where = str(path.parent)
+        raise InputError(f"no folder can be made: {reason}", where=where, remedy="set XDG_CACHE_HOME") from error
+    require_writable(path)
+    return path
+
+
 def store_measurement(measurement: RuntimeMeasurement) -> Path:
     """Write what was measured, whole or not at all; this process uses it from now on.
 
@@ -177,15 +203,7 @@ def store_measurement(measurement: RuntimeMeasurement) -> Path:
         raise AssertionError("a measurement of a part of all float32 numbers stands for nothing")
     if measurement.runtime != runtime_name() or measurement.machine != platform.machine():
         raise AssertionError(f"measured {measurement.runtime} on {measurement.machine}")
-    path = measurement_path()
-    if not path.is_absolute():
-        raise InputError("there is no home folder to store a measurement in", remedy="set XDG_CACHE_HOME")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        where = str(path.parent)
-        raise InputError(f"no folder can be made: {reason}", where=where, remedy="set XDG_CACHE_HOME") from error
+    path = require_storable()
     text = json.dumps({"format": FORMAT, **asdict(measurement)}, indent=2, allow_nan=False)
     write_atomically(path, f"{text}\n".encode())
     _read.cache_clear()
