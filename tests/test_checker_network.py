@@ -242,14 +242,21 @@ def test_a_box_of_inputs_is_enclosed() -> None:
 
 
 def test_numbers_that_are_not_stored_as_raw_bytes_are_the_same_numbers() -> None:
-    model = model_of([("Reshape", "xs", "h", {}), ("Add", "ha", "y", {})], {"a": V[0], "s": np.array([1, 2])})
-    model.graph.input[0].type.tensor_type.shape.dim[1].dim_value = 2
-    before = read_network(model.SerializeToString()).layers
-    for tensor, field in zip(model.graph.initializer, ("float_data", "int64_data"), strict=True):
-        getattr(tensor, field).extend(V[0].tolist() if field == "float_data" else [1, 2])
+    nodes = [("Gather", "xi", "g", {"axis": 1}), ("Reshape", "gs", "h", {}), ("Add", "ha", "y", {})]
+    model = model_of(nodes, {"i": np.array([3, -4], np.int32), "s": np.array([-1, 2]), "a": V[0]})
+    agrees(model.SerializeToString())
+    for tensor, field, numbers in zip(
+        model.graph.initializer,
+        ("int32_data", "int64_data", "float_data"),
+        ([3, -4], [-1, 2], V[0].tolist()),
+        strict=True,
+    ):
         tensor.ClearField("raw_data")
-    (after,) = read_network(model.SerializeToString()).layers
-    assert isinstance(after, Diagonal) and after.offset == before[0].offset == tuple(V[0].tolist())  # type: ignore[union-attr]
+        getattr(tensor, field).extend(numbers)
+    agrees(model.SerializeToString())
+    moved, added = read_network(model.SerializeToString()).layers
+    assert isinstance(moved, Selection) and moved.index == (3, 0)
+    assert isinstance(added, Diagonal) and added.offset == tuple(V[0].tolist())
 
 
 def test_damaged_models_are_refused_or_mean_the_same_to_both_readers() -> None:

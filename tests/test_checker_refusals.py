@@ -22,6 +22,7 @@ REFUSED: dict[str, tuple[list[Any], dict[str, Any], dict[str, Any]]] = {
     "column of constants": ([("Add", "xa", "y", {})], {"a": random(4, 1)}, {}),
     "wrong matrix": ([("MatMul", "xV", "y", {})], {"V": V}, {}),
     "wrong transposed matrix": ([("Gemm", "xW", "y", {"transB": 1})], {"W": W}, {}),
+    "product of three axes": ([("Gemm", "xW", "y", {})], {"W": W}, {"shape": (1, 2, 2)}),
     "transposed input": ([("Gemm", "xW", "y", {"transA": 1})], {"W": W}, {}),
     "narrowing cast": (
         [("Relu", "x", "h", {}), ("Cast", "h", "y", {"to": TensorProto.FLOAT})],
@@ -46,6 +47,8 @@ REFUSED: dict[str, tuple[list[Any], dict[str, Any], dict[str, Any]]] = {
         {},
         {},
     ),
+    "nan that nothing reads": ([("Relu", "x", "y", {})], {"a": np.float32(np.nan)}, {}),
+    "bound of another type": ([("Clip", "xa", "y", {})], {"a": np.float64(0)}, {}),
     "empty clip": ([("Clip", "xlh", "y", {})], {"l": np.float32(1), "h": np.float32(0)}, {}),
     "bounds per neuron": ([("Max", "xa", "y", {})], {"a": random(4)}, {}),
     "negative slope": ([("LeakyRelu", "x", "y", {"alpha": -0.5})], {}, {}),
@@ -56,6 +59,8 @@ REFUSED: dict[str, tuple[list[Any], dict[str, Any], dict[str, Any]]] = {
     "attribute of an older operator set": ([("Clip", "x", "y", {"min": 0.0})], {}, {"opset": 11}),
     "operand of a newer operator set": ([("Clip", "xa", "y", {})], {"a": np.float32(0)}, {"opset": 10}),
     "broadcasting of an older operator set": ([("Add", "xa", "y", {"broadcast": 1})], {"a": random(4)}, {"opset": 6}),
+    "addition in an older operator set": ([("Add", "xa", "y", {})], {"a": random(4)}, {"opset": 6}),
+    "spread bound of an older operator set": ([("Max", "xa", "y", {})], {"a": np.float32(0)}, {"opset": 7}),
     "dropout without test mode": ([("Dropout", "x", "y", {})], {}, {"opset": 6}),
     "dropout in training mode": ([("Dropout", "xrt", "y", {})], {"r": np.float32(0.5), "t": np.array(True)}, {}),
     "different values joined": ([("Relu", "x", "h", {}), ("Concat", "xh", "y", {"axis": 1})], {}, {}),
@@ -83,6 +88,11 @@ REFUSED: dict[str, tuple[list[Any], dict[str, Any], dict[str, Any]]] = {
     "another kernel than declared": (
         [("Conv", "xk", "y", {"kernel_shape": [2]})],
         {"k": random(1, 1, 3)},
+        {"shape": (1, 1, 4)},
+    ),
+    "bias of another length": (
+        [("Conv", "xkb", "y", {})],
+        {"k": random(3, 1, 2), "b": random(1)},
         {"shape": (1, 1, 4)},
     ),
     "groups that do not fit": ([("Conv", "xk", "y", {"group": 2})], {"k": random(3, 1, 1)}, {"shape": (1, 2, 4)}),
