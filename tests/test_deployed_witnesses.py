@@ -259,8 +259,8 @@ def changed(rows: Any, period: int, by: Any) -> Any:
 WRONG: dict[str, Any] = {
     "an action one unit off": lambda r: replace(r, actions=changed(r.actions, 1, F(1, 2**30))),
     "an observation one unit off": lambda r: replace(r, observations=changed(r.observations, 2, F(1, 2**25))),
-    "an action that is no float": lambda r: replace(r, actions=changed(r.actions, 0, F(1, 3))),
-    "an action that is too large": lambda r: replace(r, actions=changed(r.actions, 0, F(10) ** 1100)),
+    "an action that is no float": lambda r: replace(r, actions=changed(r.actions, 2, F(1, 3))),
+    "an action that is too large": lambda r: replace(r, actions=changed(r.actions, 2, F(10) ** 1100)),
     "an observation that is too large": lambda r: replace(r, observations=changed(r.observations, 0, F(10) ** 1100)),
     "a period less": lambda r: replace(r, observations=r.observations[:-1], actions=r.actions[:-1]),
     "a period more": lambda r: replace(r, observations=(*r.observations, r.observations[0])),

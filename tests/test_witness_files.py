@@ -83,7 +83,7 @@ def test_files_of_version_1_are_read() -> None:
     [
         ('"deployed": {', '"deployed": [], "more": {'),
         ('"runtime": "onnxruntime', '"runtime": "torch'),
-        ('"runtime": "onnxruntime', '"runtime": "onnxruntime\\u001b[31m'),
+        ('"runtime": "onnxruntime 1', '"runtime": "onnxruntime 1\\u001b[31m'),
         ('"runtime"', '"run"'),
         ('"actions": [', '"actions": [1, '),
         ('"actions": [', '"actions": [{"a": "1"}, '),
