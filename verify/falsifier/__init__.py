@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from .candidates import Candidate, violations
-from .search import propose
+from .search import propose, propose_all
 
-__all__ = ["Candidate", "propose", "violations"]
+__all__ = ["Candidate", "propose", "propose_all", "violations"]
