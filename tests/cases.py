@@ -157,9 +157,14 @@ def images() -> list[Image]:
             lambda given: zonotope.reduce_order(given, 2, 8, given.spread)[0],
             lambda points: points,
         ),
-        Image("merge_rows", random_set(2, 14, 3), lambda given: network_enclosure.merge_rows(given, 4, 3), lambda p: p),
         Image(
-            "merge_rows-one", random_set(1, 9, 4), lambda given: network_enclosure.merge_rows(given, 4, 3), lambda p: p
+            "merge_rows", random_set(2, 14, 3), lambda given: network_enclosure.merge_rows(given, 4, 3)[0], lambda p: p
+        ),
+        Image(
+            "merge_rows-one",
+            random_set(1, 9, 4),
+            lambda given: network_enclosure.merge_rows(given, 4, 3)[0],
+            lambda p: p,
         ),
     ]
     for name in PLANTS:

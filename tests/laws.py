@@ -187,7 +187,7 @@ def law_exact_affine(z: Zonotope, weight: Array, bias: Array, weight_error: Arra
 
 def law_reduction(z: Zonotope, protected: int, rows: int) -> None:
     """Order reduction contains the set, exactly, keeps the protected rows, and has the promised number of rows."""
-    result, boxed = zonotope.reduce_order(z, protected, rows, np.where(z.spread > 0, z.spread, 1.0))
+    result, boxed, _ = zonotope.reduce_order(z, protected, rows, np.where(z.spread > 0, z.spread, 1.0))
     assert result.generators.shape[1] == rows
     assert (result.generators[:, :protected] == z.generators[:, :protected]).all()
     assert (boxed >= 0).all()
@@ -196,7 +196,7 @@ def law_reduction(z: Zonotope, protected: int, rows: int) -> None:
 
 def law_merge(z: Zonotope, shared: int, rows: int) -> None:
     """Merging private rows contains the set and keeps the shared rows."""
-    result = network.merge_rows(z, shared, rows)
+    result, _ = network.merge_rows(z, shared, rows)
     assert (result.generators[:, :shared] == z.generators[:, :shared]).all()
     assert not result.radius.any()
     assert_dominates(result, z)
@@ -738,7 +738,7 @@ def law_no_relaxation(activation: Activation, lower: float, upper: float) -> Non
 def law_separation(z: Zonotope, normals: Array, bounds: Array) -> None:
     """Margins are below the distance that the true support gives; and no member of the set is in the polytope."""
     facets = separation.Facets(
-        Ball(normals, 0 * normals), Ball(bounds, 0 * bounds), np.zeros((0, len(bounds))), ("",) * len(bounds), 0.25
+        Ball(normals, 0 * normals), Ball(bounds, 0 * bounds), np.eye(len(bounds)), ("",) * len(bounds), 0.25
     )
     corners = np.array(list(product((-1.0, 1.0), repeat=factors_of(z))))
     points = points_of(z, np.concatenate([corners, random_factors(z, 2000)]))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from setrl.models.plant import load_plant
 from setrl.specs.reader import find_specification, read_specification
 from setrl.verify import verifier
 from setrl.verify.checker.witness import Proof, prove, read_witness
+from setrl.verify.contradiction import require_no_contradiction
 from setrl.verify.options import Options
 from setrl.verify.result import ProvedWitness, Verdict
 
@@ -92,17 +95,26 @@ def test_the_witness_is_written_only_where_there_is_one(files: tuple[str, Path],
     assert run(capsys, *arguments).code == cli.OK and not target.exists()
 
 
-def test_a_proof_and_a_proved_witness_contradict_each_other(
-    files: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+def test_a_proof_and_a_proved_witness_contradict_each_other_and_are_kept(
+    files: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     falsified = verify(*files, options=ONCE)
-    explore = verifier._explore
-    monkeypatch.setattr(verifier, "_explore", lambda *given: (explore(*given)[0], {0: falsified.candidate}))
-    monkeypatch.setattr(verifier, "_witnessed", lambda *given: (falsified.witness, ""))
-    assert isinstance(falsified.witness, ProvedWitness)
     files[1].write_text(TEXT.replace("BOUND", "9"))
-    with pytest.raises(AssertionError, match="proved every cell"):
-        verify(*files, options=ONCE)
+    verified = verify(*files, options=ONCE)
+    assert falsified.witness is not None and verified.verdict is Verdict.VERIFIED and verified.certificate is not None
+    monkeypatch.chdir(tmp_path)
+    require_no_contradiction([verified, verified])
+    wider = replace(verified, loop=replace(verified.loop, observation_radius=(Fraction(-1),) * 2))
+    require_no_contradiction([wider, falsified])  # proved for less than what is refuted
+    assert not list(tmp_path.glob("*.zip"))
+    with pytest.raises(AssertionError, match="both verified and falsified.*setrl-bug"):
+        require_no_contradiction([falsified, verified])
+    (bundle,) = tmp_path.glob("setrl-bug-*.zip")
+    with zipfile.ZipFile(bundle) as content:
+        assert content.read("certificate.cert") == verified.certificate
+        assert content.read("witness.json").decode() == falsified.witness.content
+        assert content.read("policy.onnx") == Path(files[0]).read_bytes()
+        assert content.read("specification.yaml") == files[1].read_bytes()
 
 
 @pytest.mark.parametrize(

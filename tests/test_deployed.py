@@ -344,7 +344,7 @@ def difference_of(size: float) -> list[Layer]:
 
 def test_a_well_conditioned_network_is_covered_in_float32() -> None:
     result = steered(difference_of(4.0), "2", ("-1", "1"))
-    assert result.verdict is Verdict.VERIFIED and result.semantics == ("real", "float32") and result.notes == ()
+    assert result.verdict is Verdict.CLAIMED and result.semantics == ("real", "float32") and result.notes == ()
 
 
 @pytest.mark.parametrize(
@@ -360,7 +360,7 @@ def test_a_well_conditioned_network_is_covered_in_float32() -> None:
 )
 def test_an_ill_conditioned_network_is_refused_for_float32_and_decided_for_real(bound: str) -> None:
     result = steered(difference_of(2.0**22), bound, ("-1", "1"), splits=8)
-    assert result.verdict is Verdict.VERIFIED and result.semantics == ("real",)
+    assert result.verdict is Verdict.CLAIMED and result.semantics == ("real",)
     assert "float32" not in result.claim and "exact real arithmetic" in result.claim
     (note,) = result.notes
     assert "float32 execution is not covered" in note and "of the action range" in note and "rescale" in note

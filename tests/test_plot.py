@@ -147,7 +147,8 @@ def test_a_candidate_is_drawn_where_it_violates() -> None:
 
 
 def test_a_sweep_marks_what_is_verified(tmp_path: Path) -> None:
-    specification = parse_specification(QUICK, "test.yaml")
+    specification = tmp_path / "test.yaml"
+    specification.write_text(QUICK)
     results = setrl.verify_radii(EXAMPLE, specification, ["0", "5"], options=Options(splits=1))
     figure = plot_sweep([0.0, 5.0], results, str(tmp_path / "a.png"))
     assert "VERIFIED for 1 of 2 radii" in figure.get_suptitle()

@@ -10,7 +10,6 @@ from setrl import verify
 from setrl.models.policy import Activation, Affine, Policy
 from setrl.verify.options import Options
 from setrl.verify.relaxations import relax
-from setrl.verify.result import Verdict
 
 
 def test_the_delayed_action_shares_no_factor_with_this_period_s_disturbance() -> None:
@@ -27,7 +26,7 @@ def test_the_delayed_action_shares_no_factor_with_this_period_s_disturbance() ->
         delay=1,
     )
     result = verify(gain([1.0]), specification)
-    assert result.verdict is not Verdict.VERIFIED
+    assert not result.verdict.positive
     assert result.flowpipe.points[0, 2, 1, 0] >= 3.0
 
 
@@ -37,7 +36,7 @@ def test_the_initial_set_of_a_discrete_time_plant_is_checked(kind: str, region: 
     specification = specification_of(
         plant, {"x": (4, 5)}, period=1, periods=2, requirements=[requirement(kind, box_region(x=region), 0, 2)]
     )
-    assert verify(gain([0.0]), specification).verdict is not Verdict.VERIFIED
+    assert not verify(gain([0.0]), specification).verdict.positive
 
 
 def test_an_overflow_inside_the_network_never_becomes_a_constant() -> None:
@@ -57,7 +56,7 @@ def test_an_overflow_inside_the_network_never_becomes_a_constant() -> None:
         requirements=[requirement("stay", box_region(z=(-1, 1)), 1, 1)],
     )
     policy = Policy(layers, 3, 1, precision="float64")
-    assert verify(policy, specification, options=Options(deployed=False)).verdict is not Verdict.VERIFIED
+    assert not verify(policy, specification, options=Options(deployed=False)).verdict.positive
 
 
 def test_a_relaxation_without_bounds_is_not_finite() -> None:

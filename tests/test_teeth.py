@@ -111,8 +111,8 @@ def without_uncertainty(linear_map: Any, z: Any, weight: Any, bias: Any, *rest: 
 
 
 def without_box(reduce_order: Any, z: Any, *rest: Any) -> Any:
-    result, boxed = reduce_order(z, *rest)
-    return replace(result, radius=z.radius), boxed
+    result, boxed, kept = reduce_order(z, *rest)
+    return replace(result, radius=z.radius), boxed, kept
 
 
 def without_last_row(function: Any, z: Any, *rest: Any) -> Any:
@@ -168,7 +168,7 @@ def without_disturbance(attach: Any, engine: Any, *rest: Any) -> Any:
 
 def without_clip(clip: Any, engine: Any, action: Any) -> Any:
     low, high, _ = engine.model.clip
-    return Zonotope(np.clip(action.center, low, high), action.generators, action.radius)
+    return Zonotope(np.clip(action.center, low, high), action.generators, action.radius), clip(engine, action)[1]
 
 
 def everyone_or_no_one(run: Any, engine: Any, cells: Any, observer: Any) -> Any:

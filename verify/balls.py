@@ -145,7 +145,7 @@ def _monotone(a: Ball, function: Any) -> Ball:
         high = high + rounding.elementary_error(high)
         result = hull(rounding.down(low), rounding.up(high))
         # NaN (outside the domain) and overflow become "no bound"
-        sound = np.isfinite(result.mid) & np.isfinite(result.rad)
+        sound = np.isfinite(result.mid) & np.isfinite(result.rad) & np.isfinite(a.mid) & np.isfinite(a.rad)
         return Ball(np.where(sound, result.mid, 0.0), np.where(sound, result.rad, np.inf))
 
 
@@ -170,7 +170,7 @@ def tanh(a: Ball) -> Ball:
 
 
 def sincos(a: Ball) -> tuple[Ball, Ball]:
-    """sin(a) and cos(a).
+    """sin(a) and cos(a); no bound where a has none.
 
     With a = m + d, |d| <= r <= 3/2: sin(a) = sin m cos d + cos m sin d. Where the derivative keeps its sign, that is
     |cos m| cos r > |sin m| sin r, the range is ``sin m cos r +- |cos m| sin r``; else it lies in
@@ -196,7 +196,10 @@ def sincos(a: Ball) -> tuple[Ball, Ball]:
         # elementary errors of value, slope and drop, all relative to sizes of at most 1
         radius = rounding.enlarged(radius + rounding.relative_error(size, 60), 40)
         good = usable & np.isfinite(radius)
-        center, radius = np.where(good, center, 0.0), np.where(good, radius, 1.0)
+        # wide angles have every value; an argument without a bound may not exist at all
+        known = np.isfinite(a.mid) & np.isfinite(a.rad)
+        center = np.where(good & known, center, 0.0)
+        radius = np.where(known, np.where(good, radius, 1.0), np.inf)
         return Ball(center[0], radius[0]), Ball(center[1], radius[1])
 
 

@@ -13,12 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..models.policy import Activation
 from . import rounding
 from .deployed import conversion_error, deployed_error
 from .integrator import PeriodFlow, integrate
 from .model import Model, clip_activations
 from .network import enclose_layers, merge_rows
 from .options import LEAST_GENERATORS, Options
+from .quadratic_map import Products
 from .relaxations import relax
 from .zonotope import (
     Zonotope,
@@ -32,6 +34,7 @@ from .zonotope import (
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 SOURCES = (
     "initial set",
@@ -80,6 +83,34 @@ class Cells:
         )
 
 
+OBSERVATION_PRODUCT, OBSERVATION_BOX, PERTURBATION, NEURON, CLIPPED = range(5)
+"""Where a private row of an action set comes from."""
+
+
+@dataclass(frozen=True)
+class ActionChoices:
+    """Choices in the enclosure of the policy's action; nothing in here is a bound.
+
+    Attributes
+    ----------
+    products : Products or None
+        Of the observation's map; None where plain states are observed.
+    lines : tuple of array, shape (B, n) each
+        Of every activation the slopes, of a smooth one also offsets and errors; last the slopes of the specification's
+        clip where there is one.
+    origins : array of int, shape (k, 2)
+        What each private row of the unmerged action set is: a kind, one of `OBSERVATION_PRODUCT` to `CLIPPED`, and
+        which of that kind; neurons are counted through all activations.
+    kept : array of int, shape (B, p)
+        Positions in `origins` of the private rows that were not merged.
+    """
+
+    products: Products | None
+    lines: tuple[Array, ...]
+    origins: NDArray[np.intp]
+    kept: NDArray[np.intp]
+
+
 @dataclass(frozen=True)
 class Period:
     """One control period of a batch.
@@ -103,6 +134,14 @@ class Period:
         e_L, already included in `computed`; zero when only exact arithmetic is covered.
     growth : array, shape (B, len(SOURCES))
         Ledger of growth up to this period's end; see `Cells`.
+    tracked : Zonotope, shape (B, N)
+        The tracked set at the start.
+    kept : array of int, shape (B, k)
+        Rows of the joint set at the end that became the first ones of the next tracked set; any others are zero.
+    joint_rows : int
+        Rows of the joint set of states, actions and disturbances.
+    choices : ActionChoices
+        What a checker needs to know to follow the policy's enclosure.
     """
 
     number: int
@@ -115,6 +154,10 @@ class Period:
     sound: Bools
     deployed_error: Array
     growth: Array
+    tracked: Zonotope
+    kept: NDArray[np.intp]
+    joint_rows: int
+    choices: ActionChoices
 
 
 Observer = Callable[[Period], Bools]
@@ -182,7 +225,7 @@ class Engine:
             tracked = unbox(cells.tracked)
             shared = tracked.generators.shape[1]
             state = tracked.coordinates(slice(0, states))
-            computed, error, shares = self._act(state, cells.observation_radius, shared)
+            computed, error, shares, choices = self._act(state, cells.observation_radius, shared)
             first_delayed = states + model.constant.size
             queue = tracked.coordinates(slice(first_delayed, tracked.dimension))
             if delay:
@@ -203,7 +246,7 @@ class Engine:
                 scale > 0.0, scale, np.where(scale.max(1, keepdims=True) > 0, scale.max(1, keepdims=True), 1.0)
             )
             rows = max(options.generators * result.dimension, LEAST_GENERATORS) + self.protected
-            reduced, boxed = reduce_order(result, self.protected, rows, positive)
+            reduced, boxed, kept = reduce_order(result, self.protected, rows, positive)
             growth = self._growth(cells, tracked, computed, end, flow, boxed, positive, shared, shares)
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
         period = Period(
@@ -217,22 +260,27 @@ class Engine:
             flow.sound & finite,
             error,
             growth,
+            cells.tracked,
+            kept,
+            joint.generators.shape[1],
+            choices,
         )
         return period, Cells(reduced, cells.observation_radius, cells.index, flow.substeps, growth, flow.rate)
 
-    def _act(self, state: Zonotope, radius: Array, shared: int) -> tuple[Zonotope, Array, Array]:
+    def _act(self, state: Zonotope, radius: Array, shared: int) -> tuple[Zonotope, Array, Array, ActionChoices]:
         """Action set of a state set: observe, perturb, network, clip, deployed error; private rows merged.
 
-        Returns the action set, e_L, and the share of the private part that comes from the observation perturbation.
+        Returns the action set, e_L, the share of the private part that comes from the observation perturbation, and the
+        choices.
         """
-        model = self.model
+        model, products = self.model, None
         if model.observed is not None:
             seen = state.coordinates(model.observed)
         else:
             from .flow import image_of
 
             assert model.loop.observation is not None
-            seen, _ = image_of(model.loop.observation, state, self.options.quadratic_rows * state.dimension)
+            seen, _, products = image_of(model.loop.observation, state, self.options.quadratic_rows * state.dimension)
             seen = unbox(seen)
         before = seen.generators.shape[1]
         perturbed = append_rows(seen, diagonal_rows(radius)) if radius.any() else seen
@@ -240,20 +288,37 @@ class Engine:
         enclosure = enclose_layers(model.layers, perturbed)
         output = enclosure.output
         precision = model.loop.policy.precision
+        lines: list[Array] = []
+        activations = (layer for layer in model.layers if isinstance(layer, Activation))
+        for activation, relaxation in zip(activations, enclosure.relaxations, strict=True):
+            smooth = activation.kind in ("tanh", "sigmoid")
+            lines += [relaxation.slope, *((relaxation.offset, relaxation.error) if smooth else ())]
         error = np.zeros_like(output.center)
         if self.options.deployed:
             error = deployed_error(model.layers, enclosure.bounds, precision)
         output = Zonotope(output.center, output.generators, rounding.enlarged(output.radius + error, 1))
         if model.clip is not None:
-            output = self._clip(output)
+            output, slope = self._clip(output)
+            lines.append(slope)
         private = np.abs(output.generators[:, shared:])
         from_noise = private[:, before - shared : after - shared].sum((1, 2))
         whole = private.sum((1, 2)) + output.radius.sum(1)
         share = from_noise / np.where(whole > 0.0, whole, 1.0)
-        return merge_rows(output, shared, self.options.action_rows), error, share
+        merged, kept = merge_rows(output, shared, self.options.action_rows)
+        products_and_box = before - shared
+        size = radius.shape[1]
+        kinds = [
+            (OBSERVATION_PRODUCT, np.arange(max(products_and_box - size, 0))),
+            (OBSERVATION_BOX, np.arange(min(products_and_box, size))),
+            (PERTURBATION, np.arange(after - before)),
+            (NEURON, enclosure.origins),
+            (CLIPPED, np.arange(0 if model.clip is None else error.shape[1])),
+        ]
+        origins = np.concatenate([np.stack([np.full_like(index, kind), index], 1) for kind, index in kinds])
+        return merged, error, share, ActionChoices(products, tuple(lines), origins, kept)
 
-    def _clip(self, action: Zonotope) -> Zonotope:
-        """Clip every action to its bounds; each relaxation error becomes a private generator."""
+    def _clip(self, action: Zonotope) -> tuple[Zonotope, Array]:
+        """Clip every action to its bounds; each relaxation error becomes a private generator. And the slopes."""
         model = self.model
         assert model.clip is not None
         interval = action.interval
@@ -276,7 +341,7 @@ class Engine:
             precision = model.loop.policy.precision
             error = np.maximum(*(conversion_error(bound, error, precision) for bound in model.clip[:2]))
         radius = rounding.enlarged(radius + error, 6)
-        return append_rows(Zonotope(center, generators, radius), diagonal_rows(relaxation_error))
+        return append_rows(Zonotope(center, generators, radius), diagonal_rows(relaxation_error)), slope
 
     def _with_disturbances(self, joint: Zonotope, tracked: Zonotope) -> Zonotope:
         """Append the plant's disturbances in their order: tracked ones, and fresh factors for those that vary."""
@@ -291,8 +356,7 @@ class Engine:
         position = model.states + np.arange(model.constant.size)
         center[:, model.constant] = tracked.center[:, position]
         generators[:, : tracked.generators.shape[1], model.constant] = tracked.generators[:, :, position]
-        low, high = model.disturbance_lower[model.varying], model.disturbance_upper[model.varying]
-        middle, spread = rounding.center_radius(low, high)
+        middle, spread = model.varying_ball
         center[:, model.varying] = middle
         generators[:, rows + np.arange(model.varying.size), model.varying] = spread
         return concatenate(joint, Zonotope(center, generators, radius))

@@ -22,7 +22,7 @@ from . import balls, rounding
 from .balls import Ball
 from .picard import a_priori_enclosure, growth_rate
 from .plan import plan_of
-from .quadratic_map import enclose_map, half_quadratic
+from .quadratic_map import Products, enclose_map, half_quadratic
 from .series import flow_jets, map_jets
 from .steps import Step
 from .time_weights import combine, largest, slab_weights, step_weights
@@ -31,7 +31,7 @@ from .zonotope import Zonotope, append_rows, concatenate, linear_map
 Array = NDArray[np.float64]
 
 
-def image_of(tape: Tape, z: Zonotope, rows: int) -> tuple[Zonotope, Array]:
+def image_of(tape: Tape, z: Zonotope, rows: int) -> tuple[Zonotope, Array, Products]:
     """Enclose the image of a zonotope under a tape (observation maps, discrete-time plants); see `enclose_map`."""
     used = plan_of(tape).used
     center = _cells_first(map_jets(tape, balls.exact(z.center), 1, used))
@@ -60,15 +60,19 @@ class JetStep(Step):
         Coordinates on which the vector field depends.
     remainder : Ball, shape (B, n)
         Time coefficient K over the a-priori box.
+    products : Products or None
+        Whose products the last rows of `end` are.
     """
 
     CELL_AXES: ClassVar[dict[str, int]] = Step.CELL_AXES | {"value": 1, "jacobian": 1, "hessian": 1, "remainder": 0}
+    EVIDENCE: ClassVar[tuple[str, ...]] = (*Step.EVIDENCE, "products")
 
     value: Ball
     jacobian: Ball
     hessian: Ball
     variables: NDArray[np.intp]
     remainder: Ball
+    products: Products | None
 
     def enclose_intervals(self, slabs: int) -> list[Zonotope]:
         """Sets that contain the states at every time of each of `slabs` equal parts of the step.
@@ -137,12 +141,13 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int,
         jacobian.mid[0, :, plan.unused_states, plan.unused_states] = 1.0
         hessian = over_box[:order, ..., 1 + used.size :]
         head = weights[:, :order]
-        image, added = enclose_map(
+        image, added, products = enclose_map(
             combine(head, value)[0], combine(head, jacobian)[0], combine(head, hessian)[0], used, z, rows
         )
         rest = balls.multiply(remainder, weights[0, order])
         shifted = balls.add(Ball(image.center, np.zeros_like(image.center)), rest)
-        image = Zonotope(shifted.mid, image.generators, rounding.enlarged(image.radius + shifted.rad, 1))
+        radius = rounding.enlarged(image.radius + rounding.checkable(shifted.rad), 2)
+        image = Zonotope(shifted.mid, image.generators, radius)
         end = concatenate(image, z.coordinates(slice(states, dimension)))
         finite = np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1)
     added = rounding.enlarged(added + rest.magnitude, 2)
@@ -162,6 +167,8 @@ def jet_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rows: int,
         hessian=hessian,
         variables=used,
         remainder=remainder,
+        prior=prior,
+        products=products,
     )
 
 
@@ -183,7 +190,7 @@ def _slabs(step: JetStep, slabs: int) -> list[Zonotope]:
     extra = extra + (drift @ spread[:, :, None])[..., 0]
     extra = extra + half_quadratic(largest(weights.last, step.hessian), spread[:, step.variables])
     extra = extra + step.remainder.magnitude * weights.remainder[:, None, None]
-    extra = rounding.enlarged(extra, 4 * spread.shape[1] + 24)
+    extra = rounding.enlarged(rounding.checkable(extra), 4 * spread.shape[1] + 26)
     deviation = replace(start, center=np.zeros_like(start.center))
     result = []
     for part in range(slabs):

@@ -13,6 +13,7 @@ from ..models.closed_loop import Plant
 from . import rounding
 from .flow import image_of, jet_step
 from .options import Options
+from .quadratic_map import Products
 from .steps import Step
 from .zonotope import Zonotope, concatenate, pad_rows, reduce_order
 
@@ -23,10 +24,23 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class StepGroup:
-    """Cells of a batch that took the same number of steps, and those steps in order."""
+    """Cells of a batch that took the same number of steps.
+
+    Attributes
+    ----------
+    cells : array of int
+    steps : tuple of Step
+        In order.
+    kept : tuple of array of int, shape (B, k) each
+        Per step but the first: which rows of the end before it are its start's.
+    products : Products or None
+        Of a discrete-time plant's map.
+    """
 
     cells: Indices
     steps: tuple[Step, ...]
+    kept: tuple[Indices, ...] = ()
+    products: Products | None = None
 
 
 @dataclass(frozen=True)
@@ -87,10 +101,10 @@ def integrate(
     states = len(plant.states)
     rows = options.quadratic_rows * states
     if plant.discrete:
-        image, added = image_of(plant.tape, joint, rows)
+        image, added, products = image_of(plant.tape, joint, rows)
         end = concatenate(image, joint.coordinates(slice(states, joint.dimension)))
         sound = np.asarray(np.isfinite(end.spread).all(1) & np.isfinite(end.center).all(1))
-        return PeriodFlow((StepGroup(np.arange(joint.batch), ()),), end, added, sound, guess, None)
+        return PeriodFlow((StepGroup(np.arange(joint.batch), (), (), products),), end, added, sound, guess, None)
     take_step = _method(plant, options, rows)
     most = options.max_substeps.bit_length() - 1
     # a step of twice the length has about 2^decay times the truncation
@@ -105,7 +119,7 @@ def integrate(
         current = int(level[pending].min())
         cells = np.flatnonzero(pending & (level == current))
         whole = cells.size == joint.batch
-        steps, end, added, truncation, sound = _steps(
+        steps, kept, end, added, truncation, sound = _steps(
             take_step,
             joint if whole else joint[cells],
             rate if whole or rate is None else rate[:, cells],
@@ -123,9 +137,9 @@ def integrate(
             done = cells[chosen]
             rates[:, done] = steps[-1].rate[:, chosen]
             if chosen.size < cells.size:
-                steps = tuple(step.select(chosen) for step in steps)
+                steps, kept = tuple(step.select(chosen) for step in steps), tuple(rows[chosen] for rows in kept)
                 end, added, sound = end[chosen], added[chosen], sound[chosen]
-            groups.append(StepGroup(done, steps))
+            groups.append(StepGroup(done, steps, kept))
             results.append((done, end, added, sound))
             easy = (truncation[chosen] <= 2.0**-decay * allowed[chosen]).all(1)
             following[done] = np.maximum(current - easy, 0)
@@ -148,13 +162,18 @@ def _method(plant: Plant, options: Options, rows: int) -> TakeStep:
 
 def _steps(
     take_step: TakeStep, z: Zonotope, rate: Array | None, period: Fraction, count: int, rows: int
-) -> tuple[tuple[Step, ...], Zonotope, Array, Array, Bools]:
+) -> tuple[tuple[Step, ...], tuple[Indices, ...], Zonotope, Array, Array, Bools]:
     """`count` equal steps. All rows that came in keep their identity (the inputs depend on them)."""
     given = z.generators.shape[1]
-    steps = []
+    steps: list[Step] = []
+    kept: list[Indices] = []
     sound = np.ones(z.batch, dtype=bool)
     added = truncation = np.zeros(())
     for _ in range(count):
+        if steps:
+            scale = z.spread
+            z, _, chosen = reduce_order(z, given, given + 2 * rows, np.where(scale > 0.0, scale, 1.0))
+            kept.append(chosen)
         step = take_step(z, period / count, rate)
         rate = step.rate
         steps.append(step)
@@ -162,12 +181,9 @@ def _steps(
         added = rounding.enlarged(added + step.added, 1)
         truncation = truncation + step.truncation
         z = step.end
-        if count > 1:
-            scale = z.spread
-            z, _ = reduce_order(z, given, given + 2 * rows, np.where(scale > 0.0, scale, 1.0))
         if not sound.any():
             break
-    return tuple(steps), z, added, truncation, sound
+    return tuple(steps), tuple(kept), z, added, truncation, sound
 
 
 def _assemble(

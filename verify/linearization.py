@@ -105,8 +105,8 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: A
     """
     states, dimension = len(tape.outputs), z.dimension
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        prior, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration), rate)
-        prior = tightened(tape, z.interval, prior, duration)
+        found, proved = a_priori_enclosure(tape, z.interval, balls.rational(duration), rate)
+        prior = tightened(tape, z.interval, found, duration)
         point = expansion_point(tape, z.center, duration)
         domain = hessian_domain(prior, point)
         deviation = balls.subtract(domain, balls.exact(point))
@@ -123,7 +123,8 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: A
             _centred(z), _combine(weights, series.jacobian)[:, 0], _combine(weights, series.value)[:, 0]
         )
         response = _combine(balls.exact(weights.magnitude), balls.exact(series.response))[:, 0].magnitude
-        added = rounding.enlarged(absolute_product(response, drift.rad[:, :, None])[..., 0] + tail, 1)
+        added = absolute_product(response, drift.rad[:, :, None])[..., 0] + tail
+        added = rounding.enlarged(rounding.checkable(added), 3)
         image = append_rows(linear, diagonal_rows(added))
         end = concatenate(image, z.coordinates(slice(states, dimension)))
         lasting = lagrange_remainder(hessian, Ball(np.zeros_like(z.center), z.spread)).rad
@@ -145,6 +146,7 @@ def linear_step(tape: Tape, z: Zonotope, duration: Fraction, order: int, rate: A
         jacobian=series.jacobian,
         drive=drive,
         tail=tail,
+        prior=found,
     )
 
 
@@ -285,7 +287,7 @@ def _slabs(step: LinearStep, slabs: int) -> list[Zonotope]:
     driven = absolute_product(time_weights(ends, order, 0).magnitude, step.drive)
     time_rows = velocity.mid * delta
     extra = (velocity.rad + drift) * delta + rounding.relative_error(time_rows, 1) + 0.5 * delta * delta * bend
-    extra = rounding.enlarged(extra + driven + step.tail[:, None], 8)
+    extra = rounding.enlarged(rounding.checkable(extra + driven + step.tail[:, None]), 10)
     result = []
     for part in range(slabs):
         linear = linear_map(_centred(step.start), jacobian[:, part], value[:, part])

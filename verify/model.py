@@ -43,6 +43,12 @@ class Model:
     disturbance_upper: Array
 
     @property
+    def varying_ball(self) -> tuple[Array, Array]:
+        """Center and half-width of every disturbance that is free in every period."""
+        low, high = self.disturbance_lower[self.varying], self.disturbance_upper[self.varying]
+        return rounding.center_radius(low, high)
+
+    @property
     def states(self) -> int:
         """Number of plant states n."""
         return len(self.loop.plant.states)

@@ -13,13 +13,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models.policy import Activation, Affine, Layer
+from ..models.policy import Affine, Layer
 from . import rounding
 from .balls import Ball, exact
-from .relaxations import relax
+from .relaxations import Relaxation, relax
 from .zonotope import Zonotope, append_rows, diagonal_rows, linear_map, select_rows
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -40,10 +41,16 @@ class NetworkEnclosure:
         Rows 0 .. q - 1 belong to the input's generators in their order; later rows are private to the network.
     bounds : tuple of LayerBounds
         Input interval of every layer, for the deployed semantics.
+    relaxations : tuple of Relaxation, shape (B, n) each
+        Of every activation.
+    origins : array of int, shape (k,)
+        Whose relaxation error each row behind the input's is: neurons are counted through all activations in order.
     """
 
     output: Zonotope
     bounds: tuple[LayerBounds, ...]
+    relaxations: tuple[Relaxation, ...]
+    origins: Indices
 
 
 @lru_cache(maxsize=256)
@@ -69,7 +76,8 @@ def enclose_layers(layers: Sequence[Layer], inputs: Zonotope) -> NetworkEnclosur
     z = inputs
     errors: Array | None = None
     sums: Array | None = None  # |G| 1, known after an activation
-    bounds = []
+    bounds, relaxations, origins = [], [], []
+    neurons = 0  # of the activations so far
     for layer in layers:
         if sums is None:
             sums = rounding.absolute_sum(z.generators, -2)
@@ -77,38 +85,40 @@ def enclose_layers(layers: Sequence[Layer], inputs: Zonotope) -> NetworkEnclosur
         spread = rounding.enlarged(spread, 2)
         seen = LayerBounds(rounding.lower(z.center, spread), rounding.upper(z.center, spread))
         bounds.append(seen)
+        if errors is not None:
+            z, active = _with_error_rows(z, errors)
+            origins.append(neurons - z.dimension + active)
+            sums = rounding.enlarged(sums + errors, 1)
         if isinstance(layer, Affine):
-            weight, bias = affine_weights(layer)
-            if errors is not None:
-                sums = rounding.enlarged(sums + errors, 1)
-            z = linear_map(_with_error_rows(z, errors), weight, bias, sums)
+            z = linear_map(z, *affine_weights(layer), sums)
             errors = sums = None
         else:
-            z, sums, errors = _activate(z, sums, errors, layer, seen)
-    return NetworkEnclosure(_with_error_rows(z, errors), tuple(bounds))
+            relaxation = relax(layer, seen.lower, seen.upper)
+            z, sums, errors = _activate(z, sums, relaxation)
+            relaxations.append(relaxation)
+            neurons += z.dimension
+    if errors is not None:
+        z, active = _with_error_rows(z, errors)
+        origins.append(neurons - z.dimension + active)
+    rows = np.concatenate([np.zeros(0, dtype=np.intp), *origins])
+    return NetworkEnclosure(z, tuple(bounds), tuple(relaxations), rows)
 
 
-def _with_error_rows(z: Zonotope, errors: Array | None) -> Zonotope:
-    """Append one generator per neuron whose relaxation is not exact in some cell of the batch."""
-    if errors is None:
-        return z
+def _with_error_rows(z: Zonotope, errors: Array) -> tuple[Zonotope, Indices]:
+    """Append one generator per neuron whose relaxation is not exact in some cell of the batch; and which they are."""
     active = np.flatnonzero((errors != 0.0).any(0))
     if active.size == 0:
-        return z
+        return z, active
     rows = np.zeros((z.batch, active.size, z.dimension))
     rows[:, np.arange(active.size), active] = errors[:, active]
-    return append_rows(z, rows)
+    return append_rows(z, rows), active
 
 
-def _activate(
-    z: Zonotope, sums: Array, errors: Array | None, activation: Activation, seen: LayerBounds
-) -> tuple[Zonotope, Array, Array]:
+def _activate(z: Zonotope, sums: Array, relaxation: Relaxation) -> tuple[Zonotope, Array, Array]:
     """Apply a relaxation: ``m z + offset`` with its rounding in the radius, and the relaxation errors apart.
 
-    Returns the set, the new upper bound of |G| 1, and the errors; those of an activation directly before this one pass
-    through the slope.
+    Returns the set, the new upper bound of |G| 1, and the errors.
     """
-    relaxation = relax(activation, seen.lower, seen.upper)
     slope, size = relaxation.slope, np.abs(relaxation.slope)
     scaled = slope * z.center
     center = scaled + relaxation.offset
@@ -120,13 +130,10 @@ def _activate(
     radius = size * z.radius + np.where(rounded, products, 0.0)
     radius = radius + np.where(relaxation.offset == 0.0, 0.0, rounding.relative_error(center, 1))
     radius = np.where(slope == 0.0, np.where(relaxation.offset == 0.0, 0.0, radius), rounding.enlarged(radius, 4))
-    new = relaxation.error
-    if errors is not None:
-        new = rounding.enlarged(new + errors * size, 2)
-    return Zonotope(center, generators, radius), sums, new
+    return Zonotope(center, generators, radius), sums, relaxation.error
 
 
-def merge_rows(z: Zonotope, shared: int, rows: int) -> Zonotope:
+def merge_rows(z: Zonotope, shared: int, rows: int) -> tuple[Zonotope, Indices]:
     """Merge the private rows of an action set and its radius into few generators, in the low-dimensional action space.
 
     For one action all private rows are parallel and merge exactly into one. For more, the longest `rows` generators are
@@ -143,17 +150,23 @@ def merge_rows(z: Zonotope, shared: int, rows: int) -> Zonotope:
     -------
     Zonotope
         Radius zero.
+    array of int, shape (B, k)
+        Which private rows were kept; n rows that box the others follow them.
     """
     private = z.generators[:, shared:]
     if z.dimension > 1 and private.shape[1] > rows:
         scale = rounding.enlarged(np.abs(private).sum(1), private.shape[1])
         size = np.abs(private) / np.where(scale > 0.0, scale, 1.0)[:, None, :]
-        kept, mask = select_rows(private, np.argpartition(-(size.sum(-1) - size.max(-1)), rows - 1, axis=1)[:, :rows])
+        order = np.argpartition(-(size.sum(-1) - size.max(-1)), rows - 1, axis=1)
+        chosen = np.sort(order[:, :rows], axis=1)
+        kept, mask = select_rows(private, chosen)
     elif z.dimension > 1:
         kept, mask = private, np.zeros(private.shape[:2], dtype=bool)
+        chosen = np.broadcast_to(np.arange(private.shape[1]), private.shape[:2])
     else:
         kept, mask = private[:, :0], np.ones(private.shape[:2], dtype=bool)
+        chosen = np.zeros((z.batch, 0), dtype=np.intp)
     boxed = (np.abs(private) * mask[:, :, None]).sum(1) + z.radius
     boxed = rounding.enlarged(boxed, private.shape[1] + 2)
     generators = np.concatenate([z.generators[:, :shared], kept, diagonal_rows(boxed)], 1)
-    return Zonotope(z.center, generators, np.zeros_like(z.radius))
+    return Zonotope(z.center, generators, np.zeros_like(z.radius)), chosen

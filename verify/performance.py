@@ -12,7 +12,7 @@ trajectory attains all of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -95,10 +95,13 @@ class Performance:
     reward : RewardModel
     costs : array, shape (cells, T)
         Upper bounds of the periods' costs, penalties included; inf where no enclosure was seen.
+    clear : dict of (cell, period) to tuple of array
+        Why there is no penalty: weights of every member's facets.
     """
 
     reward: RewardModel
     costs: Array
+    clear: dict[tuple[int, int], tuple[Array, ...]] = field(default_factory=dict)
 
     @classmethod
     def create(cls, reward: BoundReward, cells: int, periods: int) -> Performance:
@@ -110,7 +113,11 @@ class Performance:
         reward = self.reward
         cost = worst_cost(end, reward.weights, reward.target)
         if reward.region:
-            clear = np.all([mixed_separation(end, member) > 0.0 for member in reward.region], axis=0)
+            apart = [mixed_separation(end, member) for member in reward.region]
+            clear = np.all([margin > 0.0 for margin, _ in apart], axis=0)
+            for i in np.flatnonzero(clear).tolist():
+                weights = tuple(m.weights[which[i]] for m, (_, which) in zip(reward.region, apart, strict=True))
+                self.clear[int(index[i]), int(numbers[i])] = weights
             cost = np.where(clear, cost, rounding.up(cost + float(reward.penalty.upper)))
         self.costs[index, numbers] = np.where(np.isfinite(cost), cost, np.inf)
 

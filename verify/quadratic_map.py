@@ -6,8 +6,9 @@ With d = [G, diag(r)] b and f two times differentiable on the set's enclosing in
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +37,34 @@ def _full_index(dimension: int) -> NDArray[np.intp]:
     return index
 
 
+@dataclass(frozen=True)
+class Products:
+    """Which products of factors were formed one by one, and which of those became generators.
+
+    Attributes
+    ----------
+    factors : array of int, shape (B, k)
+        Rows of the start set; the other rows entered through the boxed part.
+    pairs : array of int, shape (B, p, 2)
+        Positions in `factors`, one pair per new generator; where nothing is curved there are none.
+    """
+
+    factors: Indices
+    pairs: Indices
+
+    @classmethod
+    def none(cls, batch: int) -> Products:
+        """Nothing was formed."""
+        return cls(np.zeros((batch, 0), dtype=np.intp), np.zeros((batch, 0, 2), dtype=np.intp))
+
+    def __getitem__(self, cells: Any) -> Products:
+        """Of some cells."""
+        return Products(self.factors[cells], self.pairs[cells])
+
+
 def enclose_map(
     value: Ball, jacobian: Ball, hessian: Ball, variables: Indices, z: Zonotope, rows: int
-) -> tuple[Zonotope, Array]:
+) -> tuple[Zonotope, Array, Products]:
     """Enclose the image of a zonotope under a function known by its second-order expansion.
 
     Parameters
@@ -61,26 +87,32 @@ def enclose_map(
         Generators: the q of z in their order, then `rows` new ones.
     array, shape (B, n)
         Half-width of what this map added to the radius.
+    Products
+        Whose products the new generators are.
     """
     image = linear_map(replace(z, center=np.zeros_like(z.center)), jacobian, value)
     added_rows = np.zeros((z.batch, rows, image.dimension))
     magnitude = hessian.magnitude
     # a structural zero carries rounding terms: too small to be worth products, it is bounded as a whole
     curved = np.asarray((magnitude > NEGLIGIBLE).any((0, 2)))
-    added = half_quadratic(magnitude, z.spread[:, variables])
+    added = rounding.checkable(half_quadratic(magnitude, z.spread[:, variables]))
     outputs = np.flatnonzero(curved)
     if not outputs.size:
         generators = np.concatenate([image.generators, added_rows], 1)
-        return Zonotope(image.center, generators, rounding.enlarged(image.radius + added, 1)), added
+        radius = rounding.enlarged(image.radius + added, 1)
+        return Zonotope(image.center, generators, radius), added, Products.none(z.batch)
     index = _full_index(variables.size)
     full = Ball(hessian.mid[:, outputs][:, :, index], hessian.rad[:, outputs][:, :, index])
-    shift, new, boxed = _quadratic_form(full, _largest_rows(z.coordinates(variables)), rows)
+    largest, factors = _largest_rows(z.coordinates(variables))
+    shift, new, boxed, pairs = _quadratic_form(full, largest, rows)
     center = image.center.copy()
     center[:, outputs] += shift
     added_rows[:, :, outputs] = new
+    boxed = rounding.checkable(boxed)
     added[:, outputs] = rounding.enlarged(boxed + rounding.relative_error(center[:, outputs], 1), 2)
     generators = np.concatenate([image.generators, added_rows], 1)
-    return Zonotope(center, generators, rounding.enlarged(image.radius + added, 1)), added
+    radius = rounding.enlarged(image.radius + added, 1)
+    return Zonotope(center, generators, radius), added, Products(factors, pairs)
 
 
 NEGLIGIBLE = 2.0**-600
@@ -98,15 +130,16 @@ MOST_FACTORS = 24
 """Factors whose products are formed one by one; the others enter the quadratic form through the boxed part."""
 
 
-def _largest_rows(z: Zonotope) -> Zonotope:
-    """The same set with only its largest generators kept, the rest boxed."""
+def _largest_rows(z: Zonotope) -> tuple[Zonotope, Indices]:
+    """The same set with only its largest generators kept, the rest boxed; and which were kept."""
     if z.generators.shape[1] <= MOST_FACTORS:
-        return z
+        return z, np.tile(np.arange(z.generators.shape[1]), (z.batch, 1))
     scale = z.spread
-    return reduce_order(z, 0, MOST_FACTORS, np.where(scale > 0.0, scale, 1.0))[0]
+    reduced, _, kept = reduce_order(z, 0, MOST_FACTORS, np.where(scale > 0.0, scale, 1.0))
+    return reduced, kept
 
 
-def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array, Array]:
+def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array, Array, Indices]:
     """Enclose 1/2 d' H d, d the deviation of z from its center, H of shape (B, m, d, d).
 
     With M = G Hm G' (rows of G are generators): ``1/2 b' M b in tr M / 4 +- (sum_a |M_aa| / 4 + sum_(a<b) |M_ab|)``.
@@ -116,7 +149,8 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     Returns
     -------
     tuple of arrays
-        Shift of the center (B, m), new generators (B, rows, m), half-width of the rest (B, m).
+        Shift of the center (B, m), new generators (B, rows, m), half-width of the rest (B, m), and the pairs of factors
+        that the new generators belong to, (B, p, 2).
     """
     generators = z.generators
     count, dimension = generators.shape[1:]
@@ -130,6 +164,7 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     shift = trace.sum(-1)
     new = np.zeros((z.batch, rows, products.shape[1]))
     kept = min(rows, size.shape[-1])
+    pairs = np.zeros((z.batch, 0, 2), dtype=np.intp)
     total = size.sum(-1)
     if kept:
         score = (size / np.where(total > 0.0, total, 1.0)[:, :, None]).sum(1)
@@ -138,6 +173,7 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
         new[:, :kept] = products[cells, :, chosen]
         size[cells, :, chosen] = 0.0
         total = size.sum(-1)
+        pairs = np.stack([first[chosen], second[chosen]], -1)
     boxed = rounding.enlarged(total, size.shape[-1])
     boxed = boxed + rounding.relative_error(np.abs(trace).sum(-1), count + 2)
     # Hessian radius and the rounding of the two products that made M, as one interval matrix
@@ -151,4 +187,4 @@ def _quadratic_form(hessian: Ball, z: Zonotope, rows: int) -> tuple[Array, Array
     if z.radius.any():
         rest = rest + row(outer, 2, 3) @ magnitude @ inner + 0.5 * (row(outer, 2, 3) @ magnitude @ outer)
     rest = rounding.enlarged(rest[:, :, 0, 0], 4 * dimension + 12)
-    return shift, new, rounding.enlarged(boxed + rest, 2)
+    return shift, new, rounding.enlarged(boxed + rest, 2), pairs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ _LABEL = 13
 
 
 def verdict_line(result: Result) -> str:
-    """The one line that goes to stdout: ``VERIFIED: <claim>`` or ``UNKNOWN: <reason>``."""
+    """The one line that goes to stdout: ``VERIFIED: <claim>``, ``CLAIMED: <claim>`` or ``UNKNOWN: <reason>``."""
     text = result.claim if result.reason is None else result.reason.sentence
     return f"{result.verdict.value}: {text}"
 
@@ -40,6 +41,8 @@ def describe(result: Result) -> list[str]:
         lines += [""]
     lines += [_labelled("network", semantics_text(result))]
     lines += [_labelled("cover", f"{quantity(result.leaves, 'cell')} ({quantity(result.cells, 'cell')} enclosed)")]
+    if result.verdict is Verdict.VERIFIED and result.certificate is not None:
+        lines += [_labelled("certificate", certificate_text(result))]
     lines += [_labelled("note", note) for note in result.notes]
     if result.reason is not None:
         lines += ["", *reason_lines(result.reason, result)]
@@ -92,6 +95,12 @@ def semantics_text(result: Result) -> str:
     return f"exact real arithmetic, and {deployed[0]} as executed: at most {error} off on any action"
 
 
+def certificate_text(result: Result) -> str:
+    """What the checker did, and how large the evidence is."""
+    size = -(-len(result.certificate or b"") // 1000)
+    return f"{size} kB, accepted by the checker: {quantity(result.leaves, 'cell')} proved again"
+
+
 def reason_lines(reason: Reason, result: Result) -> list[str]:
     """Why not, what made the sets grow, what does verify, what to try."""
     lines = []
@@ -134,7 +143,9 @@ def _labelled(label: str, text: str) -> str:
     return f"{label:<{_LABEL}}{text}"
 
 
-def result_to_json(result: Result, options: Options | None = None) -> dict[str, Any]:
+def result_to_json(
+    result: Result, options: Options | None = None, certificate_path: str | None = None
+) -> dict[str, Any]:
     """A result as plain data: the same keys whatever the outcome, and null for every number that is not finite.
 
     Parameters
@@ -142,6 +153,8 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
     result : Result
     options : Options, optional
         Numerical options of the run; null in the data where they are not given.
+    certificate_path : str, optional
+        Where the certificate was written.
     """
     from .. import __version__
 
@@ -152,7 +165,7 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
             "setrl": __version__,
             "verdict": result.verdict.value,
             "exit_code": result.verdict.exit_code,
-            "claim": result.claim if result.verdict is Verdict.VERIFIED else None,
+            "claim": result.claim if result.reason is None else None,
             "reason": None if result.reason is None else _reason_data(result.reason),
             "requirements": [asdict(entry) for entry in result.requirements],
             "value": None if result.value is None else asdict(result.value),
@@ -168,6 +181,7 @@ def result_to_json(result: Result, options: Options | None = None) -> dict[str, 
             "leaves": result.leaves,
             "candidate": None if result.candidate is None else _candidate_data(result, result.candidate),
             "witness": None if result.witness is None else _witness_data(result.witness),
+            "certificate": _certificate_data(result, certificate_path),
             "flowpipe": flowpipe_to_json(result.flowpipe),
             "notes": list(result.notes),
             "options": None if options is None else asdict(options),
@@ -206,6 +220,14 @@ def _witness_data(witness: ProvedWitness) -> dict[str, Any]:
         "precision": witness.precision,
         "file": json.loads(witness.content),
     }
+
+
+def _certificate_data(result: Result, path: str | None) -> dict[str, Any] | None:
+    content = result.certificate
+    if content is None:
+        return None
+    digest = hashlib.sha256(content).hexdigest()
+    return {"path": path, "sha256": digest, "bytes": len(content), "leaves": result.leaves}
 
 
 def flowpipe_to_json(flowpipe: Flowpipe) -> dict[str, Any]:

@@ -7,9 +7,10 @@ time-point set is contained in one member.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,23 @@ Bools = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
+@dataclass(frozen=True)
+class SetProof:
+    """What proves a requirement for one integrator step, or for one time-point set of one cell.
+
+    Attributes
+    ----------
+    slabs : int
+        Equal parts of the step; 0 for a time-point set.
+    choices : tuple
+        One entry per part: None outside the window; `avoid`: the weights of every member's facets, (f,) each; `stay`
+        and `reach`: the position of the member that contains the set.
+    """
+
+    slabs: int
+    choices: tuple[Any, ...]
+
+
 @dataclass
 class Monitor:
     """Margins of one requirement for a batch of cells.
@@ -49,6 +67,8 @@ class Monitor:
         Seconds of the first set without a proof; NaN where there is none.
     failing : dict of int to Zonotope
         That set, of one cell: where to look for a witness and how to split.
+    proofs : dict of (cell, seconds) to SetProof
+        For every step that begins, and every time-point set, at that time.
     """
 
     requirement: BoundRequirement
@@ -61,6 +81,7 @@ class Monitor:
     failing: dict[int, Zonotope]
     by_points: bool = False
     """Whether time-point sets decide; else time-interval sets do."""
+    proofs: dict[tuple[int, Fraction], SetProof] = field(default_factory=dict)
 
     @classmethod
     def create(
@@ -89,7 +110,7 @@ class Monitor:
         """Look at the initial sets of all cells (time 0), unless the first time-interval set contains them anyway."""
         window = self.requirement
         if window.start == 0 and self.by_points:
-            self._record(np.arange(start.batch), self._points(start), np.zeros(start.batch), start)
+            self._observe_points(np.arange(start.batch), [Fraction(0)] * start.batch, start)
 
     def observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
         """Look at time-point sets: reach, time-point windows, and everything of a discrete-time plant."""
@@ -99,8 +120,24 @@ class Monitor:
         chosen = np.array([window.start <= time <= window.end for time in times], dtype=bool)
         if not chosen.any():
             return
-        when = np.array([float(time) for time in times])[chosen]
-        self._record(index[chosen], self._points(sets[chosen]), when, sets[chosen])
+        self._observe_points(
+            index[chosen], [time for time, use in zip(times, chosen, strict=True) if use], sets[chosen]
+        )
+
+    def _observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
+        margins, chosen = self._intervals(sets, coarse=False)
+        margins = np.where(np.isnan(margins), -np.inf, margins)
+        programs = self._improve_by_program(margins[:, None], sets) if self.requirement.kind == "avoid" else {}
+        for position in np.flatnonzero(margins > 0.0).tolist():
+            choice = programs.get((position, 0)) or self._choice(chosen[position])
+            self.proofs[int(index[position]), times[position]] = SetProof(0, (choice,))
+        self._record(index, margins, np.array([float(time) for time in times]), sets)
+
+    def _choice(self, chosen: Indices) -> Any:
+        """What `SetProof.choices` says about one set, from the row of `_intervals`."""
+        if self.requirement.kind == "avoid":
+            return tuple(member.weights[i] for member, i in zip(self.members, chosen.tolist(), strict=True))
+        return int(chosen[0])
 
     def observe_steps(self, index: Indices, begins: Sequence[Fraction], step: Step) -> None:
         """Look at the time-interval sets of integrator steps: coarse slabs first, finer ones where they are needed."""
@@ -116,8 +153,10 @@ class Monitor:
         while True:
             starts = [begins[cell] for cell in cells.tolist()]
             finest = 4 * slabs > self.options.slabs
-            margin, worst, sets = self._slabs(current, slabs, starts, finest)
+            margin, worst, sets, choices = self._slabs(current, slabs, starts, finest)
             proved = margin > 0.0
+            for i in np.flatnonzero(proved).tolist():
+                self.proofs[int(index[cells[i]]), starts[i]] = SetProof(slabs, choices(i))
             final = np.flatnonzero(proved | finest)
             middles = [float(starts[i] + step.duration * (2 * int(worst[i]) + 1) / (2 * slabs)) for i in final]
             self._record(index[cells[final]], margin[final], np.array(middles), sets[final * slabs + worst[final]])
@@ -128,14 +167,18 @@ class Monitor:
 
     def _slabs(
         self, step: Step, slabs: int, begins: Sequence[Fraction], finest: bool
-    ) -> tuple[Array, Indices, Zonotope]:
-        """Smallest margin over the slabs inside the window, which slab, and all sets, slab by slab of each cell."""
+    ) -> tuple[Array, Indices, Zonotope, Callable[[int], tuple[Any, ...]]]:
+        """Smallest margin over the slabs inside the window, which slab, and all sets, slab by slab of each cell.
+
+        Last, a function that says for a cell what `SetProof.choices` are.
+        """
         window, width = self.requirement, step.duration / slabs
         parts = step.time_intervals(slabs)
         batch = parts[0].batch
         order = np.arange(batch * slabs).reshape(slabs, batch).T.ravel()
         sets = stack_cells(parts)[order] if slabs > 1 else parts[0]
-        margins = self._intervals(sets, coarse=slabs == 1).reshape(batch, slabs)
+        margins, chosen = self._intervals(sets, coarse=slabs == 1)
+        margins, chosen = margins.reshape(batch, slabs), chosen.reshape(batch, slabs, -1)
         known: dict[Fraction, list[bool]] = {}
         for begin in begins:
             if begin not in known:
@@ -144,14 +187,26 @@ class Monitor:
         wanted = np.array([known[begin] for begin in begins])
         # a bound that is not a number is no bound; outside the window nothing is asked
         margins = np.where(wanted, np.where(np.isnan(margins), -np.inf, margins), np.inf)
+        programs: dict[tuple[int, int], tuple[Array, ...]] = {}
         if finest and self.requirement.kind == "avoid":
-            self._improve_by_program(margins, sets)
+            programs = self._improve_by_program(margins, sets)
         worst = margins.argmin(1)
-        return np.take_along_axis(margins, worst[:, None], 1)[:, 0], worst, sets
 
-    def _improve_by_program(self, margins: Array, sets: Zonotope) -> None:
-        """Try a linear program for the slabs that simple directions miss narrowly; stop at a cell's first failure."""
+        def choices(cell: int) -> tuple[Any, ...]:
+            return tuple(
+                (programs.get((cell, slab)) or self._choice(chosen[cell, slab])) if wanted[cell, slab] else None
+                for slab in range(slabs)
+            )
+
+        return np.take_along_axis(margins, worst[:, None], 1)[:, 0], worst, sets, choices
+
+    def _improve_by_program(self, margins: Array, sets: Zonotope) -> dict[tuple[int, int], tuple[Array, ...]]:
+        """Try a linear program for the slabs that simple directions miss narrowly; stop at a cell's first failure.
+
+        Changes `margins`; returns the weights of the members' facets by (cell, slab) where it did.
+        """
         slabs = margins.shape[1]
+        found = {}
         for cell in np.flatnonzero((margins <= 0.0).any(1)):
             for slab in np.argsort(margins[cell]):
                 margin = margins[cell, slab]
@@ -159,28 +214,25 @@ class Monitor:
                 reach = max(member.program_range for member in self.members) * float(z.spread.max())
                 if not (-reach < margin <= 0.0):
                     break
-                best = min(
-                    max(program_separation(z, member)[0], float(mixed_separation(z, member)[0]))
-                    for member in self.members
-                )
-                margins[cell, slab] = max(margin, best)
+                pairs = [_best_of(program_separation(z, member), z, member) for member in self.members]
+                best = min(value for value, _ in pairs)
+                if best > margin:
+                    margins[cell, slab] = best
+                    found[int(cell), int(slab)] = tuple(weights for _, weights in pairs)
                 if not (margins[cell, slab] > 0.0):
                     break
+        return found
 
-    def _intervals(self, z: Zonotope, coarse: bool) -> Array:
-        """Margins of sets that must satisfy the requirement at every time they cover, shape (B,)."""
-        if self.requirement.kind == "avoid":
-            apart = [facet_separation(z, m)[0] if coarse else mixed_separation(z, m) for m in self.members]
-            return np.min(apart, axis=0)  # type: ignore[no-any-return]
-        inside = [containment_margins(z, member).min(1) for member in self.members]
-        return np.max(inside, axis=0)  # type: ignore[no-any-return]
+    def _intervals(self, z: Zonotope, coarse: bool) -> tuple[Array, Indices]:
+        """Margins of sets that must satisfy the requirement at every time they cover, shape (B,).
 
-    def _points(self, z: Zonotope) -> Array:
-        margins = self._intervals(z, coarse=False)
-        margins = np.where(np.isnan(margins), -np.inf, margins)
+        And why: `avoid`: which of each member's weights, shape (B, members); else which member, shape (B, 1).
+        """
         if self.requirement.kind == "avoid":
-            self._improve_by_program(margins[:, None], z)
-        return margins
+            apart = [facet_separation(z, m) if coarse else mixed_separation(z, m) for m in self.members]
+            return np.min([margin for margin, _ in apart], axis=0), np.stack([which for _, which in apart], 1)
+        inside = np.array([containment_margins(z, member).min(1) for member in self.members])
+        return inside.max(0), inside.argmax(0)[:, None]
 
     def _record(self, index: Indices, margins: Array, times: Array, sets: Zonotope) -> None:
         """Enter margins; a cell may occur more than once."""
@@ -206,3 +258,10 @@ class Monitor:
         fresh = unproved & ~self.failed
         self.failed_at[fresh] = self.time[fresh]
         self.failed |= unproved
+
+
+def _best_of(program: tuple[float, Array], z: Zonotope, member: Facets) -> tuple[float, Array]:
+    """The better of a linear program's direction and the simple ones."""
+    margin, which = mixed_separation(z, member)
+    simple = float(margin[0])
+    return program if program[0] > simple else (simple, member.weights[int(which[0])])

@@ -20,16 +20,26 @@ Array = NDArray[np.float64]
 
 
 class Verdict(StrEnum):
-    """VERIFIED, FALSIFIED or UNKNOWN; FALSIFIED needs a witness whose violation is proved."""
+    """VERIFIED, FALSIFIED, UNKNOWN or CLAIMED.
+
+    VERIFIED needs a certificate that the checker accepted, FALSIFIED a witness whose violation it proved. CLAIMED is
+    what the engine alone says.
+    """
 
     VERIFIED = "VERIFIED"
+    CLAIMED = "CLAIMED"
     FALSIFIED = "FALSIFIED"
     UNKNOWN = "UNKNOWN"
 
     @property
+    def positive(self) -> bool:
+        """Whether the engine proved everything: VERIFIED, or CLAIMED where the checker was not asked."""
+        return self in (Verdict.VERIFIED, Verdict.CLAIMED)
+
+    @property
     def exit_code(self) -> int:
-        """0 verified, 10 falsified, 5 unknown."""
-        return {"VERIFIED": 0, "FALSIFIED": 10, "UNKNOWN": 5}[self.value]
+        """0 verified, 10 falsified, 5 unknown or claimed."""
+        return {"VERIFIED": 0, "FALSIFIED": 10, "UNKNOWN": 5, "CLAIMED": 5}[self.value]
 
 
 @dataclass(frozen=True)
@@ -174,7 +184,7 @@ class Result:
     ----------
     verdict : Verdict
     reason : Reason or None
-        None where the verdict is VERIFIED.
+        None where the verdict is VERIFIED or CLAIMED.
     requirements : tuple of RequirementResult
     value : Value or None
         None where the specification has no reward.
@@ -189,6 +199,8 @@ class Result:
         A simulated violation; not a proof.
     witness : ProvedWitness or None
         What makes the verdict FALSIFIED.
+    certificate : bytes or None
+        What makes the verdict VERIFIED: the content of a certificate file.
     timings : dict of phase to seconds
     claim : str
         What exactly is claimed, in a sentence.
@@ -213,6 +225,7 @@ class Result:
     loop: ClosedLoop
     observation_radius: tuple[float, ...]
     witness: ProvedWitness | None = None
+    certificate: bytes | None = field(default=None, repr=False)
 
     def plot(self, path: str | None = None, states: tuple[str, str] | None = None) -> Figure:
         """Draw the flowpipe with the specification's regions; see `verify.plot.plot_result`."""

@@ -31,6 +31,21 @@ with ball arithmetic."""
 Array = NDArray[np.float64]
 
 
+CHECKER_SLACK = 2.0**-12
+"""Room that a certificate leaves to whoever checks it: ball arithmetic may carry radii of 30 bits, and may evaluate the
+same formula in another order."""
+
+
+def checkable(x: Any) -> Any:
+    """A bound with the room of `CHECKER_SLACK`, for what a checker has to bound once more."""
+    return x * (1.0 + CHECKER_SLACK)
+
+
+def with_room(margin: float) -> float:
+    """A positive margin, diminished by the room of `CHECKER_SLACK`."""
+    return margin * (1.0 - CHECKER_SLACK)
+
+
 def enlarged(x: Any, roundings: int) -> Any:
     """Upper bound of a non-negative quantity that was computed as `x` with so many rounded operations in sequence.
 

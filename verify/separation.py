@@ -29,9 +29,9 @@ class Facets:
     ----------
     normals : Ball, shape (f, n)
     bounds : Ball, shape (f,)
-    mixtures : array, shape (k, f)
-        Nonnegative weights that are tried as separating directions besides the facets themselves: rows sum to 1 in
-        exact arithmetic up to rounding, which does not matter for the proof.
+    weights : array, shape (k, f)
+        Nonnegative weights of the facets that are tried as separating directions: first the facets themselves, then
+        mixtures of two. Rows sum to 1.
     texts : tuple of str
     program_range : float
         A linear program is worth its time only where the best of these directions misses by less than this share of the
@@ -40,7 +40,7 @@ class Facets:
 
     normals: Ball
     bounds: Ball
-    mixtures: Array
+    weights: Array
     texts: tuple[str, ...]
     program_range: float
 
@@ -64,9 +64,9 @@ def prepare_polytope(polytope: BoundPolytope) -> Facets:
                         row = np.zeros(count)
                         row[i], row[j] = step / MIXTURE_STEPS, 1.0 - step / MIXTURE_STEPS
                         rows.append(row)
-    mixtures = np.array(rows) if rows else np.zeros((0, count))
+    weights = np.concatenate([np.eye(count), np.reshape(rows, (-1, count))])
     plane = count <= MIXTURE_FACETS and np.linalg.matrix_rank(normals.mid) <= 2
-    return Facets(normals, bounds, mixtures, polytope.facets, 0.01 if plane else 0.25)
+    return Facets(normals, bounds, weights, polytope.facets, 0.01 if plane else 0.25)
 
 
 def separation_margins(z: Zonotope, facets: Facets, weights: Array) -> Array:
@@ -112,17 +112,18 @@ def containment_margins(z: Zonotope, facets: Facets) -> Array:
 
 def facet_separation(z: Zonotope, facets: Facets) -> tuple[Array, NDArray[np.intp]]:
     """Best margin over the facets as directions, and which; shapes (B,)."""
-    margins = separation_margins(z, facets, np.eye(facets.bounds.mid.size))
+    return _best_separation(z, facets, facets.weights[: facets.bounds.mid.size])
+
+
+def mixed_separation(z: Zonotope, facets: Facets) -> tuple[Array, NDArray[np.intp]]:
+    """Best margin over the facets and their mixtures, and which of ``facets.weights``; shapes (B,)."""
+    return _best_separation(z, facets, facets.weights)
+
+
+def _best_separation(z: Zonotope, facets: Facets, weights: Array) -> tuple[Array, NDArray[np.intp]]:
+    margins = separation_margins(z, facets, weights)
     best = margins.argmax(1)
     return np.take_along_axis(margins, best[:, None], 1)[:, 0], best
-
-
-def mixed_separation(z: Zonotope, facets: Facets) -> Array:
-    """Best margin over the facets and their mixtures, shape (B,)."""
-    best, _ = facet_separation(z, facets)
-    if facets.mixtures.shape[0]:
-        best = np.maximum(best, separation_margins(z, facets, facets.mixtures).max(1))
-    return best
 
 
 def program_separation(z: Zonotope, facets: Facets) -> tuple[float, Array]:

@@ -8,7 +8,7 @@ cells are leaves; a cell that fails is cut in half where the failing margin says
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from . import rounding
 from .closed_loop import SOURCES, Engine, Period
 from .deadline import Deadline
+from .evidence import LeafEvidence, Recorder
 from .model import initial_box
 from .watch import Watch
 from .zonotope import Zonotope
@@ -130,6 +131,8 @@ class Exploration:
     deployed_error: Array
     periods_enclosed: int = 0
     stopped: str = ""
+    evidence: dict[int, LeafEvidence] = field(default_factory=dict)
+    """Of every cell that was proved: what its certificate says."""
 
     def cells_of(self, problem: int, *statuses: int) -> Indices:
         """Cells of one problem with one of the given statuses."""
@@ -269,10 +272,12 @@ def _run_batch(
     # a root runs on after a failure: its V(s0), its plot and its reason are what the user gets to see
     whole = tree.parent < 0
     sound = np.zeros(count, dtype=np.intp)
+    recorder = Recorder(engine.model)
 
     def observer(period: Period) -> Bools:
         index = period.index
         watch.see(period)
+        recorder.see(period)
         sound[index[period.sound]] += 1
         action, own = period.action.interval, cells[index]
         state.growth[own] = period.growth
@@ -307,6 +312,9 @@ def _run_batch(
         state.value[cells], state.undiscounted[cells] = value, undiscounted
     state.reached[cells] = np.minimum(sound, watch.periods_before_failure())
     state.status[cells] = np.where(proved, PROVED, FAILED)
+    clear = {} if watch.performance is None else watch.performance.clear
+    for local in np.flatnonzero(proved).tolist():
+        state.evidence[int(cells[local])] = recorder.leaf(local, watch.monitors, clear)
     for local in range(count):
         if len(state.hulls) < MOST_HULLS:
             state.hulls[int(cells[local])] = watch.points[local], watch.intervals[local]

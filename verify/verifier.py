@@ -23,18 +23,25 @@ from ..models.policy import Policy
 from ..specs.errors import InputError, SetrlError, UsageError
 from ..specs.reader import digest, find_specification, parse_specification, read_specification
 from ..specs.specification import Specification
+from . import rounding
+from .certificate import certificate_of
+from .checker.certificate import Accepted
+from .checker.certificate import check as check_certificate
 from .checker.contract import read_contract
-from .checker.witness import Proof, Witness, prove
+from .checker.witness import Proof, Witness, prove, record
 from .closed_loop import Engine
+from .contradiction import require_no_contradiction
 from .deadline import Deadline
 from .falsifier import Candidate, propose
 from .model import initial_box, observation_radius, prepare
 from .options import Options
 from .reason import explain
-from .result import Flowpipe, ProvedWitness, RequirementResult, Result, Value, Verdict
+from .result import Flowpipe, ProvedWitness, Reason, RequirementResult, Result, Value, Verdict
+from .runtime_error import runtime_error, runtime_name, runtime_note
 from .separation import containment_margins, facet_separation, prepare_polytope
 from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
 from .watch import PARTS
+from .witness_replay import exact_runner, replay
 from .wording import claim_sentence
 
 Array = NDArray[np.float64]
@@ -51,6 +58,22 @@ class _Job:
 
     loops: tuple[ClosedLoop, ...]
     options: Options
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The bytes that evidence is about, as they were read."""
+
+    policy: bytes
+    specification: bytes
+    folder: Path
+    plant: str
+    radius: tuple[Fraction, ...]
+
+    @property
+    def digests(self) -> dict[str, str]:
+        """sha256 of each, "" for a plant inside the specification."""
+        return {"policy": digest(self.policy), "specification": digest(self.specification), "plant": self.plant}
 
 
 def load(
@@ -73,6 +96,8 @@ def verify(
     plant: Plant | None = None,
     progress: Progress | None = None,
     deadline: Deadline | None = None,
+    check: bool = True,
+    workers: int | None = None,
 ) -> Result:
     """Decide whether a policy keeps a plant within a specification.
 
@@ -90,6 +115,10 @@ def verify(
         Called with the state of the search after every batch.
     deadline : Deadline, optional
         Instead of one made from ``options.timeout``; lets the caller interrupt.
+    check : bool
+        Whether the checker has to accept the certificate; without it a proof is only CLAIMED.
+    workers : int, optional
+        Processes that check leaves side by side; as many as there are processors, where that is worth it.
 
     Returns
     -------
@@ -102,7 +131,15 @@ def verify(
         Wrong input.
     """
     return verify_radii(
-        policy, specification, [epsilon], options=options, plant=plant, progress=progress, deadline=deadline
+        policy,
+        specification,
+        [epsilon],
+        options=options,
+        plant=plant,
+        progress=progress,
+        deadline=deadline,
+        check=check,
+        workers=workers,
     )[0]
 
 
@@ -115,6 +152,8 @@ def verify_radii(
     plant: Plant | None = None,
     progress: Progress | None = None,
     deadline: Deadline | None = None,
+    check: bool = True,
+    workers: int | None = None,
 ) -> list[Result]:
     """`verify` for several observation radii in one array program; one result per radius, in order.
 
@@ -143,6 +182,7 @@ def verify_radii(
         exact, exact_candidates = found, candidates
     finished = time.perf_counter()
     timings = {"load": loaded - started, "reachability": finished - loaded}
+    files = _files(loops[0], plant)
     results = []
     for problem, loop in enumerate(loops):
         again = refused[problem] and unproved[problem]
@@ -151,6 +191,7 @@ def verify_radii(
         notes = []
         if options.deployed and not refused[problem]:
             semantics.append(loop.policy.precision)
+            notes += _runtime_notes(loop)
         elif refused[problem]:
             notes.append(
                 f"{loop.policy.precision} execution is not covered: its error bound is {refused[problem]:.2g} of the "
@@ -159,11 +200,58 @@ def verify_radii(
         candidate, witness = some.get(problem), None
         if candidate is not None:
             before = time.perf_counter()
-            witness, objection = _witnessed(loop, candidate, plant, deadline)
-            notes += [f"the violation that a simulation shows is not proved: {objection}"] if objection else []
+            witness, objection = _witnessed(loop, candidate, files, len(semantics) > 1, deadline)
+            if witness is None:
+                notes.append(f"the violation that a simulation shows is not proved: {objection}")
+            elif objection:
+                notes.append(f"the violation is not proved for the deployed network: {objection}")
             timings = {**timings, "witness": time.perf_counter() - before}
-        results.append(_result(job, chosen, problem, candidate, witness, tuple(semantics), tuple(notes), timings))
+        result = _result(job, chosen, problem, candidate, witness, tuple(semantics), tuple(notes), timings)
+        if result.verdict is Verdict.CLAIMED:
+            result = _certified(result, job, chosen, problem, files, check, workers, deadline)
+        results.append(result)
+    require_no_contradiction(results)
     return results
+
+
+def _certified(
+    result: Result,
+    job: _Job,
+    found: Exploration,
+    problem: int,
+    files: _Files | str,
+    check: bool,
+    workers: int | None,
+    deadline: Deadline,
+) -> Result:
+    """A claim with its certificate: VERIFIED where the checker accepted it, UNKNOWN where it did not."""
+    if isinstance(files, str):
+        return replace(result, notes=(*result.notes, f"not checked: {files}"))
+    loop = job.loops[problem]
+    started = time.perf_counter()
+    runtime = None
+    if len(result.semantics) == 2:
+        runtime = runtime_name(), runtime_error(loop.policy.precision)
+    radius = None if files.radius == loop.observation_radius else loop.observation_radius
+    content = certificate_of(found, problem, job.options, files.digests, loop, radius, runtime)
+    written = time.perf_counter()
+    timings = {**result.timings, "certificate": written - started}
+    if not check:
+        note = "not checked, as asked for: `setrl check` says whether the certificate proves this"
+        return replace(result, certificate=content, timings=timings, notes=(*result.notes, note))
+    answer = check_certificate(
+        content, files.policy, files.specification, files.folder, workers=workers, stop=lambda: deadline.expired
+    )
+    timings["check"] = time.perf_counter() - written
+    if isinstance(answer, Accepted):
+        return replace(result, verdict=Verdict.VERIFIED, certificate=content, timings=timings)
+    reason = Reason(
+        f"every cell was proved, but the checker did not accept the certificate: {answer}",
+        source="check",
+        remedy="give it more time, or report this: the engine and its checker should not disagree",
+        verified_until=0.0,
+    )
+    return replace(result, verdict=Verdict.UNKNOWN, reason=reason, timings=timings)
 
 
 def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[Exploration, dict[int, Candidate]]:
@@ -186,12 +274,14 @@ def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[
 
 
 def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
-    """Largest e_L of a proved cover as a share of the action range where that is too much, else 0.
+    """e_L as a share of the action range where that is too much, else 0.
 
-    Cells without a proof do not count: their sets may be arbitrarily large.
+    The largest one of the proved cells; those without a proof do not count, for their sets may be arbitrarily large.
+    Where nothing is proved, e_L may be the reason: then the one at a single point, from which no set is better.
     """
     loop = job.loops[problem]
-    leaves = found.cells_of(problem, PROVED)
+    proved, failed = found.cells_of(problem, PROVED), found.cells_of(problem, FAILED)
+    leaves = proved if proved.size else failed
     if not leaves.size:
         return 0.0
     span = found.action_upper[leaves].max(0) - found.action_lower[leaves].min(0)
@@ -200,10 +290,29 @@ def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
     last = [layer for layer in loop.policy.layers if not hasattr(layer, "weight")][-1:]
     if loop.after is None and last and last[0] is loop.policy.layers[-1] and last[0].kind in ("tanh", "sigmoid"):
         span = np.maximum(span, 2.0 if last[0].kind == "tanh" else 1.0)
+    error = found.deployed_error[leaves].max(0) if proved.size else _error_at_a_point(job)
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = found.deployed_error[leaves].max(0) / np.where(span > 0.0, span, np.nan)
+        share = error / np.where(span > 0.0, span, np.nan)
     worst = float(np.nanmax(share)) if np.isfinite(share).any() else 0.0
     return worst if worst > ILL_CONDITIONED else 0.0
+
+
+def _error_at_a_point(job: _Job) -> Array:
+    """e_L at the middle of the initial set, shape (m,)."""
+    model = prepare(job.loops[0])
+    middle, _ = rounding.center_radius(*initial_box(model.loop))
+    states, seen = middle.size, len(model.loop.observation_radius)
+    engine = Engine(model, job.options)
+    cells = engine.start(middle[None], np.zeros((1, 0, states)), np.zeros((1, states)), np.zeros((1, seen)))
+    period, _ = engine.advance(0, cells)
+    error: Array = period.deployed_error[0]
+    return error
+
+
+def _runtime_notes(loop: ClosedLoop) -> list[str]:
+    kinds = {getattr(layer, "kind", "") for layer in loop.policy.layers}
+    note = runtime_note() if kinds & {"tanh", "sigmoid"} else None
+    return [note] if note else []
 
 
 def _result(
@@ -220,10 +329,8 @@ def _result(
     leaves = found.cells_of(problem, PROVED, FAILED)
     # positive polarity: every leaf of the cover was proved, and there is a cover
     everything = leaves.size > 0 and bool((found.status[leaves] == PROVED).all())
-    if everything and witness is not None:
-        raise AssertionError(f"the engine proved every cell, and the checker a violation: {witness.sentence}")
     verified = everything and candidate is None
-    verdict = Verdict.VERIFIED if verified else Verdict.FALSIFIED if witness is not None else Verdict.UNKNOWN
+    verdict = Verdict.CLAIMED if verified else Verdict.FALSIFIED if witness is not None else Verdict.UNKNOWN
     reason = None if verified else explain(loop, job.options, found, problem, candidate)
     if reason is not None and witness is not None:
         reason = replace(reason, sentence=witness.sentence)
@@ -249,26 +356,36 @@ def _result(
     )
 
 
-def _witnessed(
-    loop: ClosedLoop, candidate: Candidate, plant: Plant | None, deadline: Deadline
-) -> tuple[ProvedWitness | None, str]:
-    """The candidate as a witness that the checker proved; or None and why not.
+def _files(loop: ClosedLoop, plant: Plant | None) -> _Files | str:
+    """The files of a closed loop, for the checker; or why there are none.
 
-    The proof is about files, so what was given as an object has to be what its file says.
+    Evidence is about files, so what was given as an object has to be what its file says.
     """
     specification, policy = loop.specification, loop.policy.content
-    if plant is not None or not policy or deadline.expired:
-        return None, "the time is up" if deadline.expired else "the checker needs the policy and the plant as files"
+    if plant is not None or not policy:
+        return "the checker needs the policy and the plant as files"
     source = Path(specification.source)
     content = source.read_bytes() if source.is_file() else b""
     if digest(content) != specification.digest:
-        return None, "the checker needs the specification as a file, with the bytes that were read"
+        return "the checker needs the specification as a file, with the bytes that were read"
     if parse_specification(content, specification.source) != specification:
-        return None, "the specification was changed after it was read"
+        return "the specification was changed after it was read"
     try:
         contract = read_contract(content, source.parent)
     except SetrlError as error:
-        return None, f"the checker cannot read the specification: {error}"
+        return f"the checker cannot read the specification: {error}"
+    return _Files(policy, content, source.parent, contract.plant_digest, contract.radius)
+
+
+def _witnessed(
+    loop: ClosedLoop, candidate: Candidate, files: _Files | str, deployed: bool, deadline: Deadline
+) -> tuple[ProvedWitness | None, str]:
+    """The candidate as a witness that the checker proved, and what it does not prove; or None and why not.
+
+    Where the `deployed` network is part of the question, its runtime's own actions are recorded and proved too.
+    """
+    if isinstance(files, str) or deadline.expired:
+        return None, files if isinstance(files, str) else "the time is up"
     requirement = next(entry for entry in loop.requirements if entry.name == candidate.requirement)
     witness = Witness(
         requirement=candidate.requirement,
@@ -278,16 +395,39 @@ def _witnessed(
             _clipped(row, [(-radius, radius) for radius in loop.observation_radius]) for row in candidate.noise
         ),
         disturbances=_exact_disturbances(candidate.disturbances, loop),
-        policy=digest(policy),
-        specification=specification.digest,
-        plant=contract.plant_digest,
-        observation_radius=None if contract.radius == loop.observation_radius else loop.observation_radius,
+        policy=files.digests["policy"],
+        specification=files.digests["specification"],
+        plant=files.plant,
+        observation_radius=None if files.radius == loop.observation_radius else loop.observation_radius,
     )
-    found = prove(witness, policy, content, source.parent)
+    replayed, missing = "", ""
+    if deployed:
+        executed = record(
+            witness,
+            files.policy,
+            files.specification,
+            files.folder,
+            run=exact_runner(loop.policy),
+            runtime=runtime_name(),
+            stop=lambda: deadline.expired,
+        )
+        if isinstance(executed, str):
+            missing = executed
+        elif executed.deployed is not None:
+            witness, given = executed, executed.deployed
+            replayed = given.runtime if replay(given.observations, given.actions, loop.policy) else ""
+    found = prove(
+        witness,
+        files.policy,
+        files.specification,
+        files.folder,
+        replayed=replayed,
+        stop=lambda: deadline.expired,
+    )
     if not isinstance(found, Proof):
         return None, found
-    given = (found.requirement, found.kind, found.time, found.grade, found.sentence, found.depth, found.radius)
-    return ProvedWitness(*given, found.precision, witness.to_json()), ""
+    facts = (found.requirement, found.kind, found.time, found.grade, found.sentence, found.depth, found.radius)
+    return ProvedWitness(*facts, found.precision, witness.to_json()), missing or found.objection
 
 
 def _exact_time(time: float, requirement: BoundRequirement, loop: ClosedLoop) -> Fraction | None:

@@ -175,15 +175,14 @@ def unbox(z: Zonotope) -> Zonotope:
 
 
 def select_rows(rows: Array, chosen: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
-    """Rows (B, k, n) at positions `chosen` (B, m), in order, and a mask (B, k) of the others."""
+    """Rows (B, k, n) at positions `chosen` (B, m), and a mask (B, k) of the others."""
     cells = np.arange(rows.shape[0])[:, None]
-    chosen = np.sort(chosen, axis=1)
     mask = np.ones(rows.shape[:2], dtype=bool)
     mask[cells, chosen] = False
     return rows[cells, chosen], mask
 
 
-def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[Zonotope, Array]:
+def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[Zonotope, Array, NDArray[np.intp]]:
     """Order reduction: keep the generators that a box would represent worst, box the rest into the radius.
 
     The score of a generator is ``|g|_1 - |g|_inf`` after division by `scale` (the norms mix units) [1]_.
@@ -204,6 +203,8 @@ def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[
         With exactly `rows` generators.
     array, shape (B, n)
         What was boxed.
+    array of int, shape (B, k), k <= rows
+        Positions of the rows that were kept, in order.
 
     References
     ----------
@@ -212,14 +213,18 @@ def reduce_order(z: Zonotope, protected: int, rows: int, scale: Array) -> tuple[
     generators = z.generators
     count = generators.shape[-2]
     if count <= rows:
-        return replace(z, generators=pad_rows(generators, rows)), np.zeros_like(z.radius)
+        everything = np.broadcast_to(np.arange(count), (z.batch, count))
+        return replace(z, generators=pad_rows(generators, rows)), np.zeros_like(z.radius), everything
     free = generators[:, protected:]
     size = np.abs(free)
     scaled = size / scale[..., None, :]
     score = scaled.sum(-1) - scaled.max(-1)
     keep = rows - protected
     order = np.argpartition(-score, keep - 1, axis=1) if keep > 0 else np.argsort(score, axis=1)
-    kept, mask = select_rows(free, order[:, :keep])
+    chosen = np.sort(order[:, :keep], axis=1)
+    kept, mask = select_rows(free, chosen)
     boxed = rounding.enlarged((size * mask[:, :, None]).sum(1), size.shape[1])
     radius = rounding.enlarged(z.radius + boxed, 1)
-    return Zonotope(z.center, np.concatenate([generators[:, :protected], kept], 1), radius), boxed
+    leading = np.broadcast_to(np.arange(protected), (z.batch, protected))
+    positions = np.concatenate([leading, protected + chosen], 1)
+    return Zonotope(z.center, np.concatenate([generators[:, :protected], kept], 1), radius), boxed, positions

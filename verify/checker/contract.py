@@ -64,6 +64,17 @@ class Requirement:
 
 
 @dataclass(frozen=True)
+class Reward:
+    """Per period ``-weights' |s - target| - penalty [s in region]``, s the state at its end."""
+
+    weights: tuple[Fraction, ...]
+    target: tuple[Fraction, ...]
+    discount: Fraction
+    penalty: Fraction
+    region: Region
+
+
+@dataclass(frozen=True)
 class Contract:
     """The whole question except the network. `clip` has None where an input is not clipped."""
 
@@ -80,6 +91,7 @@ class Contract:
     delayed_action: tuple[Fraction, ...]
     disturbances: tuple[Disturbance, ...]
     requirements: tuple[Requirement, ...]
+    reward: Reward | None
     digest: str
     plant_digest: str
 
@@ -132,6 +144,7 @@ def read_contract(content: bytes, folder: Path | None = None) -> Contract:
         delayed_action=delayed,
         disturbances=_disturbances(perturbation.get("disturbance", {}), plant),
         requirements=_requirements(root.get("requirements", []), plant, period, horizon),
+        reward=_reward(root.get("reward"), plant),
         digest=hashlib.sha256(content).hexdigest(),
         plant_digest=plant_digest,
     )
@@ -365,3 +378,25 @@ def _window(entry: dict[str, Any], kind: str, period: Fraction, horizon: Fractio
     if not 0 <= start <= end <= horizon or (aligned and any((time / period).denominator != 1 for time in (start, end))):
         raise InputError("a window lies within the run; a time point, and a window to reach, on the sampling instants")
     return start, end
+
+
+def _reward(value: Any, plant: Plant) -> Reward | None:
+    if value is None:
+        return None
+    entries = mapping(value, ("weights", "target", "discount", "penalty"), "reward")
+    groups = (_required(entries, "weights"), entries.get("target", {}))
+    weights, target = (
+        {name: number(entry) for name, entry in mapping(group, plant.states, "reward").items()} for group in groups
+    )
+    discount, amount = number(entries.get("discount", Plain("1"))), Fraction(0)
+    region: Region = ()
+    if "penalty" in entries:
+        penalty = mapping(entries["penalty"], ("inside", "amount"), "penalty")
+        region = read_region(_required(penalty, "inside"), plant.states)
+        amount = number(_required(penalty, "amount"))
+    if not weights or not set(target) <= set(weights) or any(weight < 0 for weight in weights.values()):
+        raise SpecificationError("a reward has weights that are not negative, and targets of weighted states only")
+    if not 0 < discount <= 1 or amount < 0:
+        raise SpecificationError("a discount is in (0, 1], a penalty is not negative")
+    rows = [tuple(group.get(state, Fraction(0)) for state in plant.states) for group in (weights, target)]
+    return Reward(rows[0], rows[1], discount, amount, region)

@@ -76,7 +76,7 @@ def pose(witness: Witness, policy: bytes, specification: bytes, folder: Path | N
     requirement = next((entry for entry in contract.requirements if entry.name == witness.requirement), None)
     if requirement is None:
         return f"the specification has no requirement {witness.requirement[:60]!r}"
-    problem = _wiring(contract, network) or _membership(contract, witness) or _timing(contract, requirement, witness)
+    problem = wiring(contract, network) or _membership(contract, witness) or _timing(contract, requirement, witness)
     if problem:
         return problem
     times = _times(contract, requirement, witness)
@@ -85,7 +85,7 @@ def pose(witness: Witness, policy: bytes, specification: bytes, folder: Path | N
     return Question(witness, contract, network, requirement, times)
 
 
-def _wiring(contract: Contract, network: Network) -> str:
+def wiring(contract: Contract, network: Network) -> str:
     """Why the three files do not fit each other, or ""."""
     seen, actions = len(contract.observe), len(contract.plant.inputs)
     before, after = contract.before, contract.after
