@@ -86,10 +86,18 @@ def _constants(layer: Affine, precision: str) -> tuple[int, float, Array, Array,
     if not terms * unit < 0.5:
         raise AssertionError(f"a sum of {terms} terms in {precision} has no error bound")
     factor = float(rounding.enlarged(np.float64(terms * unit / (1.0 - terms * unit)), 6))
-    weight_error = conversion_error(layer.weight, layer.weight_error, precision)
+    # onnxruntime may move a factor that is one number into the product beside it, and holds it in float32 there
+    held = "float32" if _is_one_factor(layer.weight) else precision
+    weight_error = conversion_error(layer.weight, layer.weight_error, held)
     bias_error = conversion_error(layer.bias, layer.bias_error, precision)
     converted = weight_error if weight_error.any() or bias_error.any() else None
     return terms, factor, np.abs(layer.weight), np.abs(layer.bias), converted, bias_error
+
+
+def _is_one_factor(weight: Array) -> bool:
+    """Whether a matrix is a number times the identity, and not just a sign."""
+    factor, square = weight[0, 0], weight.shape[0] == weight.shape[1]
+    return square and abs(factor) != 1.0 and bool((weight == factor * np.eye(len(weight))).all())
 
 
 def conversion_error(stored: Array, error: Array | None, precision: str) -> Array:

@@ -85,6 +85,8 @@ class Deployment:
 
     def _diagonal(self, layer: Diagonal, size: Vector, error: Vector) -> Vector:
         result = []
+        # onnxruntime may move a factor that is one number into the product beside it, and holds it in float32 there
+        one = len(set(layer.scale)) == 1
         for w, b, s, e in zip(layer.scale, layer.offset, size, error, strict=True):
             terms = (w not in (1, -1)) + (b != 0)
             if terms == 0:
@@ -92,7 +94,8 @@ class Deployment:
                 continue
             scale, offset = abs(_ball(w)), abs(_ball(b))
             bound = scale * (e + self.tiny) + self._factor(terms) * (scale * s + offset) + self.tiny * (terms + s)
-            bound += (s + e) * conversion_error(w, self.precision) + conversion_error(b, self.precision)
+            held = "float32" if one else self.precision
+            bound += (s + e) * conversion_error(w, held) + conversion_error(b, self.precision)
             result.append(bound)
         return result
 
