@@ -172,9 +172,10 @@ def tanh(a: Ball) -> Ball:
 def sincos(a: Ball) -> tuple[Ball, Ball]:
     """sin(a) and cos(a); no bound where a has none.
 
-    With a = m + d, |d| <= r <= 3/2: sin(a) = sin m cos d + cos m sin d. Where the derivative keeps its sign, that is
-    |cos m| cos r > |sin m| sin r, the range is ``sin m cos r +- |cos m| sin r``; else it lies in
-    ``sin m (1 + cos r)/2 +- (|sin m| (1 - cos r)/2 + |cos m| sin r)``.
+    With a = m + d, |d| <= r <= 3/2: sin(m +- r) = sin m cos r +- cos m sin r. Where the derivative keeps its sign, that
+    is |cos m| cos r > |sin m| sin r, these ends bound the range. Else it may contain one extremum (two are further apart
+    than 2 r), less than a right angle from m: the sign of sin m; and the range lies between it and the end that is
+    farther from it, ``sin m cos r - sign(sin m) |cos m| sin r``.
     """
     with np.errstate(all="ignore"):
         usable = a.rad <= 1.5
@@ -191,10 +192,13 @@ def sincos(a: Ball) -> tuple[Ball, Ball]:
         # a float comparison with a margin of 64 units on the side that must be smaller
         steady = slope * (1.0 - most_drop) > rounding.enlarged(size * sin_r, 64)
         # sin m cos r = sin m - sin m (1 - cos r)
-        center = value - value * np.where(steady, drop, 0.5 * drop)
-        radius = slope * sin_r + np.where(steady, 0.0, 0.5 * size * most_drop)
-        # elementary errors of value, slope and drop, all relative to sizes of at most 1
-        radius = rounding.enlarged(radius + rounding.relative_error(size, 60), 40)
+        center, radius = value - value * drop, slope * sin_r
+        farther = size - size * drop - radius
+        sign = np.where(value < 0.0, -1.0, 1.0)
+        center = np.where(steady, center, sign * (0.5 + 0.5 * farther))
+        radius = np.where(steady, radius, 0.5 - 0.5 * farther)
+        # elementary errors of value, slope and drop, relative to sizes of at most 1; absolute ones where 1 is an end
+        radius = rounding.enlarged(radius + rounding.relative_error(np.where(steady, size, 1.0), 60), 40)
         good = usable & np.isfinite(radius)
         # wide angles have every value; an argument without a bound may not exist at all
         known = np.isfinite(a.mid) & np.isfinite(a.rad)

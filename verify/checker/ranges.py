@@ -58,10 +58,9 @@ def reciprocal(x: Any) -> Any:
 def sincos(x: Any) -> tuple[Any, Any]:
     """Ranges of sine and cosine.
 
-    With x = m + d, |d| <= r <= 3/2: sin x = sin m cos d + cos m sin d, where sin d is in +-sin r and cos d in
-    [cos r, 1]. If |cos m| cos r > |sin m| sin r, the derivative has one sign: the range is
-    ``sin m cos r +- |cos m| sin r``. Else it lies in
-    ``sin m (1 + cos r)/2 +- (|sin m| (1 - cos r)/2 + |cos m| sin r)``. Likewise for the cosine.
+    With x = m + d, |d| <= r <= 3/2, both ends have sin(m +- r) = sin m cos r +- cos m sin r. If |cos m| cos r > |sin m|
+    sin r, the derivative has one sign, and the ends bound the range. Else there may be one extremum (two are further
+    apart than 2 r), less than a right angle from m: it is 1 if sin m > 0, and -1 if sin m < 0. Likewise for the cosine.
     """
     if not x.is_finite():
         return arb.nan(), arb.nan()
@@ -76,11 +75,14 @@ def sincos(x: Any) -> tuple[Any, Any]:
 
 def _turned(value: Any, slope: Any, part: Any, rest: Any) -> Any:
     """Range of ``value cos d + slope sin d`` for part = sin r and rest = cos r."""
-    size, steepness = abs(value), abs(slope)
-    spread = steepness * part
-    if steepness * rest > size * part:
-        return arb(value * rest, spread)
-    return arb(value * (1 + rest) / 2, size * (1 - rest) / 2 + spread)
+    steepness = abs(slope)
+    middle, spread = value * rest, steepness * part
+    ends = (middle - spread).union(middle + spread)
+    if steepness * rest > abs(value) * part:
+        return ends
+    # where the sign of value is not decided either, both extremes are
+    ends = ends if value < 0 else ends.union(arb(1))
+    return ends if value > 0 else ends.union(arb(-1))
 
 
 def _increasing(x: Any, function: Callable[[Any], Any]) -> Any:
