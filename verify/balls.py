@@ -173,9 +173,9 @@ def sincos(a: Ball) -> tuple[Ball, Ball]:
     """sin(a) and cos(a); no bound where a has none.
 
     With a = m + d, |d| <= r <= 3/2: sin(m +- r) = sin m cos r +- cos m sin r. Where the derivative keeps its sign, that
-    is |cos m| cos r > |sin m| sin r, these ends bound the range. Else it may contain one extremum (two are further apart
-    than 2 r), less than a right angle from m: the sign of sin m; and the range lies between it and the end that is
-    farther from it, ``sin m cos r - sign(sin m) |cos m| sin r``.
+    is |cos m| cos r > |sin m| sin r, these ends bound the range. Else it may contain one extremum (two are further
+    apart than 2 r), less than a right angle from m: the sign of sin m; and the range lies between it and the end that
+    is farther from it, ``sin m cos r - sign(sin m) |cos m| sin r``.
     """
     with np.errstate(all="ignore"):
         usable = a.rad <= 1.5
