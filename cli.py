@@ -1,7 +1,7 @@
 """The command line: arguments, files, exit codes, progress. It holds no mathematics.
 
-Exit codes: 0 verified (or done), 10 falsified, 5 unknown, 2 bad input or usage, 6 internal error; never 1, which is a
-Python crash. The verdict goes to stdout, the rest to stderr.
+Exit codes: 0 verified, accepted or done, 10 falsified, 5 unknown, claimed or rejected, 2 bad input or usage, 6 internal
+error; never 1, which is a Python crash. The verdict goes to stdout, the rest to stderr.
 
 Besides typer this module imports nothing: every command imports what it needs when it runs. Help is plain text,
 because typer's panels would load most of rich and take as long again as everything else together.
@@ -10,7 +10,7 @@ because typer's panels would load most of rich and take as long again as everyth
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .models.closed_loop import ClosedLoop
     from .models.simulation import Trajectories
     from .verify.options import Options
+    from .verify.result import Result
 
 OK, UNKNOWN, BAD_INPUT, INTERNAL = 0, 5, 2, 6
 ABORTED, PIPE_CLOSED = 130, 141
@@ -63,6 +64,7 @@ class Kind(StrEnum):
 
     specification = "specification"
     plant = "plant"
+    certificate = "certificate"
 
 
 PolicyArgument = Annotated[Path | None, typer.Argument(metavar="[POLICY]", help="ONNX file.", show_default=False)]
@@ -86,9 +88,22 @@ EpsilonOption = Annotated[
     typer.Option(metavar="RADIUS", help="Radius of the observation perturbation, instead of the specification's."),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+RuntimeOption = Annotated[bool, typer.Option("--runtime", help="Measure the installed onnxruntime (minutes).")]
 PlotOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw into a .png, .pdf or .svg file.")]
 WitnessOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Write the witness of a FALSIFIED, exact numbers as JSON.")
+    Path | None,
+    typer.Option(
+        metavar="FILE.json", help="Write the witness of a FALSIFIED; its trajectory as .csv and .png beside it."
+    ),
+]
+CertificateOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the certificate there; default: POLICY.cert in the current folder."),
+]
+NoCertificateOption = Annotated[bool, typer.Option("--no-certificate", help="Write no certificate.")]
+NoCheckOption = Annotated[bool, typer.Option("--no-check", help="Do not run the checker: a proof is only CLAIMED.")]
+WorkersOption = Annotated[
+    int | None, typer.Option(metavar="N", help="Processes of the checker; default: one per processor.")
 ]
 CsvOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Write comma-separated values.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Nothing but the verdict and errors.")]
@@ -100,7 +115,10 @@ def _print_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(epilog="Exit codes: 0 verified or done, 5 unknown, 10 falsified, 2 bad input or usage, 6 internal error.")
+@app.callback(
+    epilog="Exit codes: 0 verified, accepted or done, 5 unknown, claimed or rejected, 10 falsified, "
+    "2 bad input or usage, 6 internal error."
+)
 def root(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -116,6 +134,10 @@ def verify_command(
     as_json: JsonOption = False,
     plot: PlotOption = None,
     witness: WitnessOption = None,
+    certificate: CertificateOption = None,
+    no_certificate: NoCertificateOption = False,
+    no_check: NoCheckOption = False,
+    workers: WorkersOption = None,
     timeout: TimeoutOption = None,
     epsilon: EpsilonOption = None,
     splits: SplitsOption = None,
@@ -126,30 +148,241 @@ def verify_command(
 ) -> int:
     """Verify a policy: VERIFIED, FALSIFIED or UNKNOWN on stdout, everything else on stderr.
 
-    Without arguments, verify the shipped example.
+    VERIFIED means that the checker accepted the certificate. Without arguments, verify the shipped example.
     """
     options = _options(timeout, splits, method, taylor_order, generators)
     radius = _radius(epsilon)
-    _require_outputs(plot=plot, witness=witness)
+    _require_workers(workers)
+    _require_outputs(plot=plot, witness=witness, certificate=certificate)
+    place, note = _certificate_place(certificate, no_certificate, no_check, policy)
     network, specification = _inputs(policy, spec, quiet)
     from .verify import report
     from .verify.interruption import interruptible, progress_bar
     from .verify.verifier import verify
 
     with interruptible(options.timeout) as deadline, progress_bar(not quiet) as progress:
-        result = verify(network, specification, options=options, epsilon=radius, deadline=deadline, progress=progress)
+        result = verify(
+            network,
+            specification,
+            options=options,
+            epsilon=radius,
+            deadline=deadline,
+            progress=progress,
+            check=not no_check,
+            workers=workers,
+        )
+    trouble = None
+    if result.certificate is None or place is None:
+        place = None
+    else:
+        place, trouble = _save_certificate(place, result.certificate)
     if as_json:
-        _print_json(report.result_to_json(result, options))
+        _print_json(report.result_to_json(result, options, None if place is None else str(place)))
     else:
         _say(report.verdict_line(result))
     if not quiet:
         _tell(*report.describe(result))
+        if place is not None:
+            _wrote(place, quiet)
+        elif result.certificate is not None and note:
+            _tell(f"no certificate was written: {note}")
+    if trouble is not None:
+        raise trouble
     if plot is not None:
         result.plot(str(plot))
         _wrote(plot, quiet)
     if witness is not None and result.witness is not None:
-        _write(witness, result.witness.content, quiet)
+        _write_witness(witness, result, quiet)
     return result.verdict.exit_code
+
+
+def _require_workers(workers: int | None) -> None:
+    if workers is not None:
+        _require_whole("--workers", workers, 1, 1024)
+
+
+def _certificate_place(
+    given: Path | None, unwanted: bool, unchecked: bool, policy: Path | None
+) -> tuple[Path | None, str]:
+    """Where the certificate goes; None where it goes nowhere, and why where that was not asked for."""
+    from .specs.errors import InputError, UsageError
+    from .specs.files import require_writable
+    from .verify.checker.certificate_file import MAGIC
+
+    if given is not None and unwanted:
+        raise UsageError("excludes --certificate", where="--no-certificate", remedy="give one of the two")
+    if unwanted or (unchecked and given is None):
+        return None, ""
+    if policy is None:
+        from .models.example import EXAMPLE_POLICY
+
+        policy = Path(EXAMPLE_POLICY)
+    path = Path(f"{policy.stem}.cert") if given is None else given
+    if path.is_file() and _first_bytes(path, len(MAGIC)) != MAGIC:
+        raise InputError(
+            "the file exists and is no certificate of setrl: it is not replaced",
+            where=str(path),
+            remedy="choose another place with --certificate FILE, or none with --no-certificate",
+        )
+    try:
+        require_writable(path)
+    except InputError as error:
+        if given is not None:
+            raise
+        return None, f"{_one_line(error.message)} (--certificate FILE chooses another place)"
+    return path, ""
+
+
+def _first_bytes(path: Path, count: int) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError:
+        return b""
+
+
+def _save_certificate(path: Path, content: bytes) -> tuple[Path | None, Exception | None]:
+    """Write a certificate; a place that fails now does not take the verdict with it."""
+    from .specs.errors import InputError
+    from .specs.files import write_atomically
+
+    try:
+        write_atomically(path, content)
+    except InputError as error:
+        return None, error
+    return path, None
+
+
+def _write_witness(path: Path, result: Result, quiet: bool) -> None:
+    """The witness, and what its trajectory looks like: a table and a picture beside it."""
+    from .verify.plot_witness import plot_witness
+    from .verify.witness_trajectory import write_trajectory
+
+    if result.witness is None or result.candidate is None:
+        raise AssertionError("a witness without the candidate that it was made of")
+    _, table, picture = _witness_files(path)
+    _write(path, result.witness.content, quiet)
+    write_trajectory(str(table), result.loop, result.candidate)
+    _wrote(table, quiet)
+    plot_witness(result.loop, result.candidate, result.witness, str(picture))
+    _wrote(picture, quiet)
+
+
+def _witness_files(path: Path) -> tuple[Path, Path, Path]:
+    return path, path.with_suffix(".csv"), path.with_suffix(".png")
+
+
+@app.command(short_help="Prove a certificate or a witness again, without the engine.")
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Certificate or witness.", show_default=False)],
+    policy: PolicyArgument = None,
+    specification: Annotated[
+        str | None, typer.Argument(metavar="[SPEC]", help="Specification, as of --spec.", show_default=False)
+    ] = None,
+    spec: SpecOption = None,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="Run a witness's recorded actions again with the installed onnxruntime.")
+    ] = False,
+    workers: WorkersOption = None,
+    timeout: TimeoutOption = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> int:
+    """Prove a certificate (of a VERIFIED) or a witness (of a FALSIFIED) again: ACCEPTED or REJECTED on stdout.
+
+    Only the checker runs, from the three files; REJECTED (exit 5) means that nothing is known. Without a policy and a
+    specification, those of the shipped example.
+    """
+    _require_workers(workers)
+    stop = _stop_after(timeout)
+    network, contract = _checked_inputs(policy, specification, spec)
+    from .specs.errors import InputError
+    from .verify.checker.recheck import MOST_BYTES, most_bytes, recheck
+    from .verify.interruption import progress_bar
+
+    evidence = _content(file, "certificate or witness", most_bytes(_first_bytes(file, 64)))
+    asked = _content(network, "policy", MOST_BYTES["policy"])
+    about = _content(contract, "specification", MOST_BYTES["specification"])
+    again = _replayed(network) if replay else None
+    with progress_bar(not quiet) as progress:
+        try:
+            report = None if progress is None else progress.checking
+            answer = recheck(
+                evidence, asked, about, contract.parent, workers=workers, progress=report, stop=stop, replay=again
+            )
+        except InputError as error:
+            remedy = error.remedy or "give the file as setrl verify wrote it, or write it again"
+            raise InputError(error.message, where=str(file), remedy=remedy) from error
+    if as_json:
+        _print_json({"setrl": __version__, "exit_code": OK if answer.accepted else UNKNOWN, **answer.data})
+    else:
+        _say(f"{'ACCEPTED' if answer.accepted else 'REJECTED'}: {_one_line(answer.sentence)}")
+    if not quiet:
+        _tell(*answer.notes)
+    return OK if answer.accepted else UNKNOWN
+
+
+def _checked_inputs(policy: Path | None, specification: str | None, spec: str | None) -> tuple[Path, Path]:
+    """Policy and specification of `setrl check`, found without the readers that the checker is independent of."""
+    from .specs.errors import UsageError
+
+    order = "the order is setrl check FILE POLICY.onnx SPEC.yaml"
+    if specification is not None and spec is not None:
+        raise UsageError(f"received {spec} and {specification}", where="--spec", remedy="give one specification")
+    chosen = spec if specification is None else specification
+    if policy is None and chosen is None:
+        from .models.example import EXAMPLE_SPECIFICATION, example_policy_path
+
+        policy, chosen = example_policy_path(), EXAMPLE_SPECIFICATION
+    if policy is None or policy.suffix in (".yaml", ".yml"):
+        received = "nothing" if policy is None else str(policy)
+        raise UsageError(f"an ONNX file is required, received {received}", where="POLICY", remedy=order)
+    if chosen is None or chosen.endswith(".onnx"):
+        received = "nothing" if chosen is None else chosen
+        raise UsageError(f"a specification is required, received {received}", where="SPEC", remedy=order)
+    if Path(chosen).is_file() and chosen.endswith((".yaml", ".yml")):
+        return policy, Path(chosen)
+    from .specs.reader import find_specification
+
+    return policy, find_specification(chosen)
+
+
+def _content(path: Path, what: str, most: int) -> bytes:
+    """The bytes of a regular file: of nothing else it is known that they end."""
+    from .specs.errors import InputError
+
+    try:
+        if not path.is_file():
+            raise InputError(f"a file is required: there is no such {what}", where=str(path), remedy="check the path")
+        if path.stat().st_size > most:
+            raise InputError(f"no {what} has more than {most} bytes", where=str(path), remedy="check the path")
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(f"cannot read the {what}: {reason}", where=str(path), remedy="check the path") from error
+
+
+def _stop_after(timeout: float | None) -> Callable[[], bool] | None:
+    """What the checker asks between two leaves; an interrupt aborts it, because half a check is none."""
+    import time
+
+    from .specs.errors import UsageError
+
+    if timeout is None:
+        return None
+    if not timeout > 0.0:
+        raise UsageError(f"received {timeout:g}", where="--timeout", remedy="use a positive number of seconds")
+    end = time.monotonic() + timeout
+    return lambda: time.monotonic() >= end
+
+
+def _replayed(policy: Path) -> Callable[[Any], str]:
+    """What runs a recording again: the runtime's name where it returns the same bits, else ""."""
+    from .models.onnx_reader import read_policy
+    from .verify.witness_replay import replay, runtime_name
+
+    network = read_policy(policy)
+    return lambda given: runtime_name() if replay(given.observations, given.actions, network) else ""
 
 
 @app.command(short_help="Verify for several perturbation radii at once.")
@@ -297,8 +530,14 @@ def inspect(
 
 
 @app.command(short_help="Test this machine and print versions.")
-def doctor(as_json: JsonOption = False) -> int:
-    """Test what the engine assumes about this machine, and print versions."""
+def doctor(as_json: JsonOption = False, runtime: RuntimeOption = False) -> int:
+    """Test what the engine assumes about this machine, and print versions.
+
+    With --runtime, measure tanh and sigmoid of the installed onnxruntime on all float32 numbers instead (minutes), and
+    store what claims about its execution use.
+    """
+    if runtime:
+        return _measure_runtime(as_json)
     from .verify.doctor import examination_lines, examine
 
     facts = examine()
@@ -312,11 +551,35 @@ def doctor(as_json: JsonOption = False) -> int:
     return OK
 
 
+def _measure_runtime(as_json: bool) -> int:
+    from dataclasses import asdict
+
+    from .verify.doctor import measurement_bar, measurement_lines
+    from .verify.runtime_error import require_storable, store_measurement
+    from .verify.runtime_measurement import measure_runtime
+
+    require_storable()
+    with measurement_bar(True) as progress:
+        measurement = measure_runtime(progress)
+    path = store_measurement(measurement)
+    if as_json:
+        _print_json(asdict(measurement))
+    else:
+        _say(*measurement_lines(measurement))
+    _tell(f"wrote {path}")
+    return OK
+
+
 @app.command()
 def schema(
     kind: Annotated[Kind, typer.Argument(help="Kind of file.")] = Kind.specification,
 ) -> int:
-    """Print the JSON Schema of specifications or plants."""
+    """Print the JSON Schema of specifications, of plants, or of the header of certificates."""
+    if kind is Kind.certificate:
+        from .verify.certificate_schema import certificate_schema
+
+        _print_json(certificate_schema())
+        return OK
     from .specs.schema import json_schema
 
     _print_json(json_schema(kind.value))
@@ -403,16 +666,26 @@ def _inputs(policy: Path | None, spec: str | None, quiet: bool) -> tuple[str, st
     return str(policy), spec
 
 
-def _require_outputs(*, plot: Path | None = None, csv: Path | None = None, witness: Path | None = None) -> None:
-    """Unusable output paths are found before hours of work."""
-    from .specs.files import require_writable
+def _require_outputs(
+    *, plot: Path | None = None, csv: Path | None = None, witness: Path | None = None, certificate: Path | None = None
+) -> None:
+    """Unusable output paths are found before hours of work, and so are two outputs in one place."""
+    from .specs.errors import UsageError
+    from .specs.files import require_suffix, require_writable
 
-    for path in (plot, csv, witness):
-        if path is not None:
-            require_writable(path)
+    outputs = [("--plot", plot), ("--csv", csv), ("--certificate", certificate)]
+    if witness is not None:
+        require_suffix(witness, (".json",))
+        outputs += [("--witness", path) for path in _witness_files(witness)]
+    taken: dict[Path, str] = {}
+    for flag, path in outputs:
+        if path is None:
+            continue
+        require_writable(path)
+        other = taken.setdefault(path.resolve(), flag)
+        if other != flag:
+            raise UsageError(f"{other} and {flag} write the same file", where=str(path), remedy="choose another name")
     if plot is not None:
-        from .specs.files import require_suffix
-
         require_suffix(plot, (".png", ".pdf", ".svg"))
 
 
@@ -453,6 +726,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     try:
         code = app(args=None if arguments is None else list(arguments), prog_name="setrl", standalone_mode=False)
         sys.stdout.flush()
+        if code == ABORTED:  # typer's own answer to an interrupt
+            raise KeyboardInterrupt
         return code if isinstance(code, int) else OK
     except _USAGE as error:
         return _usage_error(error)

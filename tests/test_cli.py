@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -23,12 +25,14 @@ from setrl.models.plant import shipped_plants
 from setrl.specs.errors import InputError
 from setrl.specs.files import write_atomically
 from setrl.verify import deadline as deadlines
-from setrl.verify import rounding, verifier
+from setrl.verify import rounding, runtime_measurement, verifier
+from setrl.verify.certificate import MAGIC
 from setrl.verify.result import Result
+from setrl.verify.runtime_error import FunctionError, RuntimeMeasurement, measurement_path, runtime_name
 
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / ".src")}
-COMMANDS = ("verify", "sweep", "simulate", "init", "inspect", "doctor", "schema")
+COMMANDS = ("verify", "check", "sweep", "simulate", "init", "inspect", "doctor", "schema")
 
 
 @pytest.fixture
@@ -42,6 +46,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 QUICKLY = ("policy.onnx", "--spec", "quick.yaml")
 HOPELESSLY = ("policy.onnx", "--spec", "hopeless.yaml", "--splits", "1")
+VIOLATED = (*QUICKLY, "--epsilon", "5", "--splits", "1")
 
 
 def test_verify_without_arguments_explains_itself_on_the_shipped_example(folder: Path, capsys: Any) -> None:
@@ -89,7 +94,109 @@ def test_a_plot_is_written_whole(suffix: str, folder: Path, capsys: Any) -> None
     assert run(capsys, "verify", *QUICKLY, "--plot", f"a{suffix}").code == 0
     starts = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
     assert (folder / f"a{suffix}").read_bytes().startswith(starts[suffix])
-    assert contents(folder).keys() - before.keys() == {f"a{suffix}"}
+    assert contents(folder).keys() - before.keys() == {f"a{suffix}", "policy.cert"}
+
+
+def test_verified_leaves_the_certificate_it_rests_on(folder: Path, capsys: Any) -> None:
+    outcome = run(capsys, "verify", *QUICKLY, "--json")
+    content = (folder / "policy.cert").read_bytes()
+    assert content.startswith(MAGIC) and outcome.err.endswith("wrote policy.cert\n")
+    digest = hashlib.sha256(content).hexdigest()
+    facts = {"path": "policy.cert", "sha256": digest, "bytes": len(content), "leaves": 1}
+    assert json.loads(outcome.out)["certificate"] == facts
+    assert "accepted by the checker: 1 cell proved again" in outcome.err
+
+
+def test_the_same_question_has_the_same_certificate(folder: Path, capsys: Any) -> None:
+    assert run(capsys, "verify", *QUICKLY).code == 0
+    assert run(capsys, "verify", *QUICKLY, "--certificate", "again.cert").code == 0
+    assert (folder / "again.cert").read_bytes() == (folder / "policy.cert").read_bytes()
+
+
+def test_an_earlier_certificate_is_replaced_and_nothing_else(folder: Path, capsys: Any) -> None:
+    for content, code in ((MAGIC + b"of an earlier run", 0), (b"-----BEGIN CERTIFICATE-----", 2), (b"", 2)):
+        (folder / "policy.cert").write_bytes(content)
+        outcome = run(capsys, "verify", *QUICKLY)
+        assert outcome.code == code, outcome
+        assert ((folder / "policy.cert").read_bytes() == content) is (code == 2)
+        if code == 2:
+            assert outcome.out == "" and outcome.err.count("\n") == 1
+            assert "policy.cert: the file exists and is no certificate" in outcome.err
+            assert "--certificate FILE" in outcome.err and "--no-certificate" in outcome.err
+
+
+def test_no_certificate_is_written_where_none_is_wanted_or_nothing_is_proved(folder: Path, capsys: Any) -> None:
+    before = contents(folder)
+    outcome = run(capsys, "verify", *QUICKLY, "--no-certificate", "--json")
+    assert outcome.code == 0 and json.loads(outcome.out)["certificate"]["path"] is None
+    assert run(capsys, "verify", *HOPELESSLY).code == 5
+    assert run(capsys, "verify", *HOPELESSLY, "--certificate", "a.cert").code == 5
+    assert run(capsys, "sweep", *QUICKLY, "--epsilon", "0,0.01").code == 0
+    assert contents(folder) == before
+
+
+def test_without_the_checker_a_proof_is_only_claimed(folder: Path, capsys: Any) -> None:
+    before = contents(folder)
+    outcome = run(capsys, "verify", *QUICKLY, "--no-check", "--json")
+    data = json.loads(outcome.out)
+    assert (outcome.code, data["verdict"], data["exit_code"], data["reason"]) == (5, "CLAIMED", 5, None)
+    assert data["claim"].startswith("no trajectory") and data["certificate"]["path"] is None
+    assert "not checked, as asked for" in outcome.err and contents(folder) == before
+    outcome = run(capsys, "verify", *QUICKLY, "--no-check", "--certificate", "a.cert", "--quiet")
+    assert outcome.code == 5 and outcome.out.startswith("CLAIMED: no trajectory") and outcome.err == ""
+    assert run(capsys, "check", "a.cert", "policy.onnx", "quick.yaml").code == 0
+
+
+def test_what_the_checker_does_not_accept_is_unknown_and_leaves_no_certificate(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = contents(folder)
+    monkeypatch.setattr(verifier, "check_certificate", lambda *_, **__: "leaf 0: period 3: the end")
+    outcome = run(capsys, "verify", *QUICKLY)
+    assert outcome.code == 5 and outcome.out.startswith("UNKNOWN: ") and "leaf 0: period 3: the end" in outcome.out
+    assert contents(folder) == before
+
+
+def test_a_folder_that_cannot_be_written_takes_no_verdict(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    outcome = run(capsys, "verify", *QUICKLY)
+    assert outcome.code == 0 and "no certificate was written: nothing can be written to" in outcome.err
+    assert run(capsys, "verify", *QUICKLY, "--quiet").err == ""
+    assert run(capsys, "verify", *QUICKLY, "--certificate", "a.cert").code == 2
+    assert not (folder / "policy.cert").exists()
+
+
+def test_a_default_place_that_is_a_folder_takes_no_verdict(folder: Path, capsys: Any) -> None:
+    (folder / "policy.cert").mkdir()
+    outcome = run(capsys, "verify", *QUICKLY)
+    assert outcome.code == 0 and "no certificate was written: this is a folder" in outcome.err
+    assert "--certificate FILE" in outcome.err
+
+
+def test_a_certificate_that_cannot_be_written_in_the_end_does_not_take_the_verdict_with_it(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    outcome = run(capsys, "verify", *QUICKLY, "--json")
+    assert outcome.code == 2 and "No space left" in outcome.err
+    data = json.loads(outcome.out)
+    assert data["verdict"] == "VERIFIED" and data["certificate"]["path"] is None
+
+
+def test_a_witness_comes_with_its_trajectory_as_a_table_and_as_a_picture(folder: Path, capsys: Any) -> None:
+    before = contents(folder)
+    outcome = run(capsys, "verify", *VIOLATED, "--witness", "w.json")
+    assert outcome.code == 10, outcome
+    assert contents(folder).keys() - before.keys() == {"w.json", "w.csv", "w.png"}
+    assert json.loads((folder / "w.json").read_text())["requirement"] == "altitude"
+    assert (folder / "w.csv").read_text().startswith("# a simulation in float64")
+    assert (folder / "w.png").read_bytes().startswith(b"\x89PNG")
+    assert outcome.err.endswith("wrote w.json\nwrote w.csv\nwrote w.png\n")
 
 
 def test_options_reach_the_engine(folder: Path, capsys: Any) -> None:
@@ -188,7 +295,44 @@ def test_a_violated_assumption_is_exit_2(capsys: Any, monkeypatch: pytest.Monkey
     assert outcome.code == 2 and "subnormal numbers are flushed to zero" in outcome.err
 
 
-@pytest.mark.parametrize("kind", ["specification", "plant"])
+def measurement(constant: float) -> RuntimeMeasurement:
+    functions = tuple(
+        FunctionError(function, precision, precision == "float32", 10, 5, 0, constant / 2, 0.5, constant / 2, -1.0, 1.0)
+        for precision in ("float32", "float64")
+        for function in ("tanh", "sigmoid")
+    )
+    constants = {"float32": constant, "float64": 2.0**-50}
+    return RuntimeMeasurement(
+        runtime_name(), platform.machine(), "a processor", "2000-01-01", 1.0, constants, functions
+    )
+
+
+def test_the_doctor_measures_the_runtime_and_stores_what_claims_use(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    monkeypatch.setattr(runtime_measurement, "measure_runtime", lambda progress: measurement(2.0**-20))
+    outcome = run(capsys, "doctor", "--runtime")
+    assert outcome.code == 0 and "tanh" in outcome.out and "sigmoid" in outcome.out
+    assert outcome.err == f"wrote {measurement_path()}\n" and measurement_path().is_file()
+    data = json.loads(run(capsys, "doctor", "--runtime", "--json").out)
+    assert data["constants"]["float32"] == 2.0**-20 and len(data["functions"]) == 4
+    outcome = run(capsys, "verify", *QUICKLY)
+    assert outcome.code == 0
+    assert "tanh is off by at most 9.54e-7;" in run(capsys, "check", "policy.cert", "policy.onnx", "quick.yaml").out
+
+
+def test_a_measurement_that_could_not_be_stored_is_not_begun(
+    folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "cache").write_text("a file")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    monkeypatch.setattr(runtime_measurement, "measure_runtime", lambda progress: pytest.fail("minutes for nothing"))
+    outcome = run(capsys, "doctor", "--runtime")
+    assert (outcome.code, outcome.out) == (2, "") and outcome.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("kind", ["specification", "plant", "certificate"])
 def test_a_schema_is_a_json_schema(kind: str, capsys: Any) -> None:
     jsonschema.Draft202012Validator.check_schema(json.loads(run(capsys, "schema", kind).out))
 

@@ -89,6 +89,15 @@ OPTIONS: dict[str, tuple[list[str], list[str]]] = {
     "plot without a folder": (["--plot", "missing/a.png"], ["missing", "mkdir"]),
     "plot of another format": (["--plot", "a.gif"], ["a.gif", ".png", ".pdf", ".svg"]),
     "plot into a folder": (["--plot", "."], ["folder"]),
+    "certificate without a folder": (["--certificate", "missing/a.cert"], ["missing", "mkdir"]),
+    "certificate into a folder": (["--certificate", "."], ["folder"]),
+    "certificate over a policy": (["--certificate", "policy.onnx"], ["policy.onnx", "no certificate", "--certificate"]),
+    "certificate over a specification": (["--certificate", "spec.yaml"], ["spec.yaml", "no certificate"]),
+    "certificate and none": (["--certificate", "a.cert", "--no-certificate"], ["--certificate", "--no-certificate"]),
+    "witness of another format": (["--witness", "a.txt"], ["a.txt", ".json"]),
+    "witness and plot in one place": (["--witness", "a.json", "--plot", "a.png"], ["a.png", "--witness", "--plot"]),
+    "certificate and plot in one place": (["--certificate", "a.png", "--plot", "./a.png"], ["--certificate", "--plot"]),
+    "--workers 0": (["--workers", "0"], ["--workers", "0"]),
 }
 
 
@@ -153,7 +162,7 @@ def test_a_bad_option_is_one_line(case: str, folder: Path, capsys: Any) -> None:
         (["init", "missing.yaml"], ["missing.yaml"]),
         (["init", "unicycle", "--out", "spec.yaml"], ["spec.yaml", "--force"]),
         (["inspect", "spec.yaml"], ["spec.yaml"]),
-        (["schema", "certificate"], ["certificate", "plant"]),
+        (["schema", "witness"], ["witness", "certificate", "plant"]),
         (["no-such-command"], ["no-such-command"]),
     ],
     ids=" ".join,

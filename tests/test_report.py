@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from dataclasses import replace
@@ -27,7 +28,14 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
 @pytest.fixture(scope="module")
-def proved() -> Result:
+def proved(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    path = tmp_path_factory.mktemp("proved") / "quick.yaml"
+    path.write_text(QUICK)
+    return setrl.verify(EXAMPLE, path)
+
+
+@pytest.fixture(scope="module")
+def claimed() -> Result:
     return setrl.verify(EXAMPLE, parse_specification(QUICK, "quick.yaml"))
 
 
@@ -51,29 +59,46 @@ def test_a_bound_that_is_not_finite_is_printed_as_it_is(value: float, text: str)
     assert at_least(value) == at_most(value) == text
 
 
-def test_the_verdict_line_is_the_claim_or_the_reason(proved: Result, unknown: Result) -> None:
+def test_the_verdict_line_is_the_claim_or_the_reason(proved: Result, claimed: Result, unknown: Result) -> None:
     assert report.verdict_line(proved) == f"VERIFIED: {proved.claim}"
+    assert report.verdict_line(claimed) == f"CLAIMED: {proved.claim}"
     assert unknown.reason is not None
     assert report.verdict_line(unknown) == f"UNKNOWN: {unknown.reason.sentence}"
 
 
-@pytest.mark.parametrize("name", ["proved", "unknown"])
+@pytest.mark.parametrize("name", ["proved", "claimed", "unknown"])
 def test_no_text_says_safe(name: str, request: pytest.FixtureRequest) -> None:
     result = request.getfixturevalue(name)
     assert "safe" not in "\n".join([report.verdict_line(result), *report.describe(result)]).lower()
 
 
-def test_json_has_the_same_keys_whatever_the_outcome(proved: Result, unknown: Result) -> None:
-    first, second = proved.to_json(), unknown.to_json()
-    assert first.keys() == second.keys()
+def test_json_has_the_same_keys_whatever_the_outcome(proved: Result, claimed: Result, unknown: Result) -> None:
+    first, second, third = proved.to_json(), unknown.to_json(), claimed.to_json()
+    assert first.keys() == second.keys() == third.keys()
     assert first["requirements"][0].keys() == second["requirements"][0].keys()
-    for data in (first, second):
+    for data in (first, second, third):
         assert json.loads(json.dumps(data, allow_nan=False)) == data
 
 
 def test_json_has_null_for_what_is_not_finite(proved: Result) -> None:
     data = report.result_to_json(replace(proved, value=Value(-math.inf, math.nan, 0.99)))
     assert data["value"] == {"discounted": None, "undiscounted": None, "discount": 0.99}
+
+
+def test_json_names_the_certificate_where_there_is_one(proved: Result, claimed: Result, unknown: Result) -> None:
+    content = proved.certificate
+    assert content is not None and claimed.certificate is None and unknown.certificate is None
+    facts = {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content), "leaves": 1}
+    assert proved.to_json()["certificate"] == {"path": None, **facts}
+    assert report.result_to_json(proved, None, "a.cert")["certificate"] == {"path": "a.cert", **facts}
+    assert claimed.to_json()["certificate"] is None and unknown.to_json()["certificate"] is None
+
+
+def test_only_a_verified_says_that_the_checker_accepted(proved: Result, claimed: Result) -> None:
+    words = "accepted by the checker"
+    assert words in "\n".join(report.describe(proved)) and words not in "\n".join(report.describe(claimed))
+    pretended = replace(claimed, certificate=proved.certificate)
+    assert words not in "\n".join(report.describe(pretended))
 
 
 def test_json_keeps_the_hull_of_the_flowpipe(proved: Result) -> None:

@@ -1,4 +1,4 @@
-"""The JSON Schema and the reader are one source: what one accepts, the other does."""
+"""The JSON Schema and the reader agree: what one accepts, the other does."""
 
 from __future__ import annotations
 
@@ -9,22 +9,32 @@ from typing import Any
 import jsonschema
 import pytest
 import yaml
+from command_line import EXAMPLE, QUICK
 
-import setrl.specs
-from setrl.specs.errors import SpecificationError
+import setrl
+from setrl.specs.errors import InputError, SpecificationError
 from setrl.specs.reader import parse_specification, shipped_specifications
 from setrl.specs.schema import KINDS, json_schema
+from setrl.verify.certificate_schema import certificate_schema
+from setrl.verify.checker.certificate import check
+from setrl.verify.checker.certificate_file import MAGIC, canonical, read_certificate
+from setrl.verify.options import Options
 
 ROOM = Path(setrl.specs.__file__).parent
+ALL = (*KINDS, "certificate")
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    return certificate_schema() if kind == "certificate" else json_schema(kind)
 
 
 def validator(kind: str) -> jsonschema.Draft202012Validator:
-    return jsonschema.Draft202012Validator(json_schema(kind))
+    return jsonschema.Draft202012Validator(schema_of(kind))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 def test_schema_is_valid_and_self_contained(kind: str) -> None:
-    schema = json_schema(kind)
+    schema = schema_of(kind)
     jsonschema.Draft202012Validator.check_schema(schema)
     assert schema["$id"] == f"urn:setrl:schema:{kind}:1"
     assert schema["title"] == f"setrl {kind}"
@@ -37,9 +47,9 @@ def objects(schema: Any) -> list[dict[str, Any]]:
     return found + [inner for child in children for inner in objects(child)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 def test_every_key_is_described_and_every_mapping_is_closed(kind: str) -> None:
-    for entry in objects(json_schema(kind)):
+    for entry in objects(schema_of(kind)):
         assert entry["additionalProperties"] is not True
         for key, value in entry.get("properties", {}).items():
             assert value.get("description"), key
@@ -96,3 +106,106 @@ def test_schema_and_reader_agree(text: str, accepted: bool) -> None:
         assert not accepted
     else:
         assert accepted
+
+
+SPLIT = """\
+setrl: 1
+plant: {states: {x: m}, inputs: {a: m}, dynamics: {x: a}}
+controller: {period: 0.1, observe: [x, x**2]}
+horizon: 0.1
+initial: {x: [-1, 1]}
+requirements: [{avoid: x > 4}]
+"""
+
+
+def certificate_of(folder: Path, text: str, epsilon: str | None = None, **options: Any) -> tuple[bytes, bytes]:
+    """A real certificate and the specification it is about."""
+    (folder / "spec.yaml").write_text(text)
+    result = setrl.verify(EXAMPLE, folder / "spec.yaml", epsilon=epsilon, options=Options(**options))
+    assert result.certificate is not None, result.reason
+    return result.certificate, text.encode()
+
+
+def header_of(content: bytes) -> dict[str, Any]:
+    data = json.loads(content[len(MAGIC) + 8 : read_certificate(content).start])
+    assert isinstance(data, dict)
+    return data
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, bytes]:
+    return certificate_of(tmp_path_factory.mktemp("certificate"), QUICK)
+
+
+@pytest.mark.parametrize(
+    ("text", "epsilon", "options"),
+    [
+        (QUICK, None, {}),
+        (QUICK, "0.005", {}),
+        (QUICK, None, {"deployed": False}),
+        (SPLIT, None, {}),
+    ],
+    ids=["both semantics", "another radius", "real only", "an inline plant"],
+)
+def test_the_header_of_a_real_certificate_is_valid(
+    text: str, epsilon: str | None, options: dict[str, Any], tmp_path: Path
+) -> None:
+    content, _ = certificate_of(tmp_path, text, epsilon, **options)
+    validator("certificate").validate(header_of(content))
+
+
+HEADERS: dict[str, dict[str, Any]] = {
+    "another key": {"time": 1.0},
+    "another format": {"format": 3},
+    "a version that is no text": {"setrl": 1},
+    "a digest that is none": {"policy": "0"},
+    "a digest of a plant that is none": {"plant": "none"},
+    "a radius as a number": {"observation_radius": [0.1, 0.1]},
+    "a radius as a decimal": {"observation_radius": ["0.01", "0.01"]},
+    "no semantics": {"semantics": []},
+    "deployed only": {"semantics": ["float32"]},
+    "a runtime without an error": {"runtime": {"name": "onnxruntime"}},
+    "another method": {"method": "euler"},
+    "order 0": {"order": 0},
+    "order 31": {"order": 31},
+    "a requirement without a margin": {"requirements": [{"name": "altitude"}]},
+    "a margin as text": {"requirements": [{"name": "altitude", "margin": "1"}]},
+    "half a value": {"value": {"discounted": -1.0}},
+    "no tree": {"tree": []},
+    "a cut without a place": {"tree": [[0], None, None]},
+    "a cut with a float": {"tree": [[0, 0.0], None, None]},
+    "a cut of a name": {"tree": [["z", "0"], None, None]},
+    "no leaves": {"leaves": []},
+    "a leaf with one length": {"leaves": [[1]]},
+    "a leaf with three lengths": {"leaves": [[1, 2, 3]]},
+    "a negative length": {"floats": -1},
+    "a length as a float": {"integers": 1.5},
+    "a payload that is no digest": {"payload": "x"},
+}
+
+
+@pytest.mark.parametrize("case", HEADERS)
+def test_a_header_that_is_not_valid_is_not_accepted_either(case: str, certificate: tuple[bytes, bytes]) -> None:
+    content, specification = certificate
+    start = read_certificate(content).start
+    header = {**header_of(content), **HEADERS[case]}
+    assert not validator("certificate").is_valid(header)
+    text = canonical(header)
+    changed = MAGIC + len(text).to_bytes(8, "little") + text + content[start:]
+    try:
+        answer = check(changed, EXAMPLE.read_bytes(), specification)
+    except InputError:
+        return
+    assert isinstance(answer, str)
+
+
+@pytest.mark.parametrize("key", certificate_schema()["required"])
+def test_no_key_of_a_header_may_be_missing(key: str, certificate: tuple[bytes, bytes]) -> None:
+    content, _ = certificate
+    start = read_certificate(content).start
+    header = header_of(content)
+    del header[key]
+    assert not validator("certificate").is_valid(header)
+    text = canonical(header)
+    with pytest.raises(InputError):
+        read_certificate(MAGIC + len(text).to_bytes(8, "little") + text + content[start:])

@@ -1,12 +1,13 @@
-"""While a search runs: Ctrl-C ends it so that what was found is still reported, and a terminal shows how far it is."""
+"""While a search or a check runs: a terminal shows how far it is, and Ctrl-C leaves what was found to be reported."""
 
 from __future__ import annotations
 
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from .deadline import Deadline
@@ -42,23 +43,40 @@ def interruptible(timeout: float | None) -> Iterator[Deadline]:
             signal.signal(number, handler)
 
 
+@dataclass(frozen=True)
+class Watcher:
+    """What a progress bar is told: the state of a search, then the checker's way through the leaves.
+
+    Attributes
+    ----------
+    bar, task
+        Of rich.
+    """
+
+    bar: Any
+    task: Any
+
+    def __call__(self, found: Exploration) -> None:
+        """Show the decided share of the initial set."""
+        from .report import search_progress
+
+        share, text = search_progress(found)
+        self.bar.update(self.task, completed=share, description=text)
+
+    def checking(self, checked: int, leaves: int) -> None:
+        """Show how many leaves of a certificate are checked."""
+        self.bar.update(self.task, completed=checked / leaves, description=f"checking {checked}/{leaves} leaves")
+
+
 @contextmanager
-def progress_bar(wanted: bool) -> Iterator[Callable[[Exploration], None] | None]:
-    """A callback that draws the decided share of the initial set on stderr; None where nobody watches."""
+def progress_bar(wanted: bool) -> Iterator[Watcher | None]:
+    """What draws progress on stderr; None where nobody watches."""
     if not (wanted and sys.stderr.isatty()):
         yield None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from .report import search_progress
-
     columns = (BarColumn(), TextColumn("{task.percentage:>5.1f} %"), TextColumn("{task.description}"))
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("first cells", total=1.0)
-
-        def update(found: Exploration) -> None:
-            share, text = search_progress(found)
-            bar.update(task, completed=share, description=text)
-
-        yield update
+        yield Watcher(bar, bar.add_task("first cells", total=1.0))
