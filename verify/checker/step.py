@@ -79,23 +79,29 @@ def follow(field: Program, start: Start, duration: Fraction, order: int, claim: 
 def a_priori(field: Program, box: Vector, duration: Fraction, guess: tuple[Sequence[float], Sequence[float]]) -> Vector:
     """A box that provably contains every solution that starts in `box` over a duration; states only.
 
-    Any guess will do: it is widened a little, and only the inclusion counts.
+    Any guess will do: it is widened a little, and once more where a coordinate does not fit; only the inclusion counts.
     """
     states, longest = len(field.outputs), ball(duration)
     wide = []
     for low, high in zip(*guess, strict=True):
         if not low <= high:
             raise Rejected("an a-priori enclosure is empty")
-        hull = arb(low).union(arb(high))
-        wide.append(
-            arb(hull.mid(), hull.rad() * (1 + arb(2) ** -20) + abs(hull.mid()) * arb(2) ** -40 + arb(2) ** -900)
-        )
-    slope = evaluate(field, [*wide, *box[states:]])
-    # [0, h] v is the hull of 0 and h v, and less than the product of two balls
-    image = [x + arb(0).union(longest * v) for x, v in zip(box, slope, strict=False)]
-    if not all(bool(x.is_finite()) and bool(b.contains(x)) for b, x in zip(wide, image, strict=True)):
-        raise Rejected("an a-priori enclosure is not proved")
-    return image
+        wide.append(_widened(arb(low).union(arb(high))))
+    for _ in range(states + 2):
+        slope = evaluate(field, [*wide, *box[states:]])
+        # [0, h] v is the hull of 0 and h v, and less than the product of two balls
+        image = [x + arb(0).union(longest * v) for x, v in zip(box, slope, strict=False)]
+        if not all(bool(x.is_finite()) for x in image):
+            break
+        fits = [bool(b.contains(x)) for b, x in zip(wide, image, strict=True)]
+        if all(fits):
+            return image
+        wide = [b if fit else _widened(b.union(x)) for b, x, fit in zip(wide, image, fits, strict=True)]
+    raise Rejected("an a-priori enclosure is not proved")
+
+
+def _widened(guess: Any) -> Any:
+    return arb(guess.mid(), guess.rad() * (1 + arb(2) ** -20) + abs(guess.mid()) * arb(2) ** -40 + arb(2) ** -900)
 
 
 def require_image(image: Image, start: Start, claim: SetClaim, what: str) -> None:
