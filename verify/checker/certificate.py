@@ -161,7 +161,7 @@ def prepare(header: Header, policy: bytes, specification: bytes, folder: Path | 
     problem = wiring(contract, network) or _meaning(header, contract, network)
     if problem:
         raise Rejected(problem)
-    layout = layout_of(contract, network, header.method)
+    layout = layout_of(contract, network, header.method, header.version)
     runtime = None if header.runtime is None else ball(header.runtime[1])
     return Setting.of(contract, layout, Policy.of(contract, network, layout, runtime), header.order)
 

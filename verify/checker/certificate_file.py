@@ -18,7 +18,8 @@ from typing import Any
 from ...specs.errors import InputError
 
 MAGIC = b"setrl-cert\r\n\x1a\x00\x00\x00"
-VERSION = 1
+VERSIONS = (1, 2)
+"""Of the format. Version 2 says in every period how its policy is followed; see `leaf`."""
 MAX_HEADER, MAX_BYTES = 64 << 20, 16 << 30
 METHODS = ("jets", "linearization")
 SEMANTICS = ("real", "float32", "float64")
@@ -51,6 +52,8 @@ class Header:
 
     Attributes
     ----------
+    version : int
+        Of the format.
     setrl : str
         Version of the program that wrote it.
     policy, specification, plant : str
@@ -74,6 +77,7 @@ class Header:
         Lengths of the streams.
     """
 
+    version: int
     setrl: str
     policy: str
     specification: str
@@ -141,8 +145,9 @@ def _header(text: bytes) -> Header:
         raise InputError("the certificate's header is no JSON document") from error
     if not isinstance(data, dict) or type(data.get("format")) is not int:
         raise InputError("the certificate's header has no format")
-    if data["format"] != VERSION:
-        raise InputError(f"the certificate has format {data['format']}; this program reads format {VERSION}")
+    if data["format"] not in VERSIONS:
+        known = " and ".join(map(str, VERSIONS))
+        raise InputError(f"the certificate has format {data['format']}; this program reads format {known}")
     if set(data) != set(_KEYS) or not all(_is(data[key], kind) for key, kind in _KEYS.items()):
         raise InputError("the certificate's header has not exactly the keys of its format")
     if canonical(data) != text:
@@ -157,6 +162,7 @@ def _header(text: bytes) -> Header:
     if max(data["floats"], data["integers"]) > MAX_BYTES // 8:
         raise InputError("the certificate's header has a number that is out of range")
     return Header(
+        data["format"],
         data["setrl"],
         data["policy"],
         data["specification"],

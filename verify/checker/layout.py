@@ -44,6 +44,8 @@ class Layout:
     penalty : tuple of int
         Numbers of facets of the penalty region's members.
     method : {"jets", "linearization"}
+    version : int
+        Of the certificate's format.
     """
 
     states: int
@@ -62,6 +64,7 @@ class Layout:
     conditions: tuple[Condition, ...]
     penalty: tuple[int, ...]
     method: str
+    version: int = 1
 
     @property
     def tracked(self) -> int:
@@ -74,8 +77,8 @@ def observation_program(contract: Contract) -> Program:
     return compile_program(contract.observe, contract.plant.states)
 
 
-def layout_of(contract: Contract, network: Network, method: str) -> Layout:
-    """The sizes for a contract, a network that fits it, and a flow method."""
+def layout_of(contract: Contract, network: Network, method: str, version: int = 1) -> Layout:
+    """The sizes for a contract, a network that fits it, a flow method, and a version of the format."""
     plant, outputs = contract.plant, observation_program(contract).outputs
     kinds = [entry.constant for entry in contract.disturbances]
     return Layout(
@@ -95,6 +98,7 @@ def layout_of(contract: Contract, network: Network, method: str) -> Layout:
         conditions=tuple(_condition(contract, requirement) for requirement in contract.requirements),
         penalty=() if contract.reward is None else tuple(len(member) for member in contract.reward.region),
         method=method,
+        version=version,
     )
 
 

@@ -24,6 +24,8 @@ Choice: TypeAlias = tuple[Floats, ...] | int
 MOST_SLABS, MOST_STEPS = 1024, 4096
 PRODUCT, BOX, PERTURBATION, NEURON, CLIPPED = range(5)
 """Where a private row of an action set comes from."""
+PARALLEL, TWO_LINES = range(2)
+"""Forms of what a period claims about the neurons; version 1 of the format has only the first."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +102,16 @@ class Lines:
 
 
 @dataclass(frozen=True)
+class TwoLines:
+    """Lines below and above each of an activation's neurons: ``slope x + offset``."""
+
+    lower_slopes: Floats
+    lower_offsets: Floats
+    upper_slopes: Floats
+    upper_offsets: Floats
+
+
+@dataclass(frozen=True)
 class PeriodClaim:
     """One control period.
 
@@ -107,7 +119,7 @@ class PeriodClaim:
     ----------
     observation : Products or None
     lines : tuple of Lines
-        Of every activation.
+        Of every activation; none with the form TWO_LINES.
     clip_slopes : tuple or None
     action : ActionClaim
     steps : tuple of StepClaim
@@ -119,6 +131,10 @@ class PeriodClaim:
         One entry per condition: why the set at the end of the period meets it.
     clear : tuple of tuples or None
         Weights that prove that the end is clear of the penalty region; None where the penalty is charged.
+    form : int
+        What the policy is followed with: PARALLEL (forward) or TWO_LINES (backward).
+    two_lines : tuple of TwoLines
+        Of every activation; none with the form PARALLEL.
     """
 
     observation: Products | None
@@ -130,6 +146,8 @@ class PeriodClaim:
     radius: Floats | None
     points: tuple[Choice | None, ...]
     clear: tuple[Floats, ...] | None
+    form: int = PARALLEL
+    two_lines: tuple[TwoLines, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -270,11 +288,9 @@ def _boxed(radius: Floats) -> int:
 
 
 def _read_period(layout: Layout, streams: _Streams, number: int, shared: int) -> PeriodClaim:
+    form = streams.whole(PARALLEL, TWO_LINES) if layout.version > 1 else PARALLEL
     observation = streams.products(shared) if layout.observed is None else None
-    lines = tuple(
-        Lines(*(streams.take(size) for _ in range(3 if smooth else 1)))
-        for size, smooth in zip(layout.neurons, layout.smooth, strict=True)
-    )
+    lines, two_lines = _read_lines(layout, streams, form)
     clip_slopes = streams.take(layout.inputs) if layout.clipped else None
     action = _read_action(layout, streams, shared, observation)
     joint = shared + len(action.private) + layout.inputs + len(layout.varying)
@@ -301,7 +317,20 @@ def _read_period(layout: Layout, streams: _Streams, number: int, shared: int) ->
         StepClaim(s.kept, s.start_radius, s.prior, s.products, s.end, tuple(proof[i] for proof in proofs))
         for i, s in enumerate(steps)
     )
-    return PeriodClaim(observation, lines, clip_slopes, action, checked, kept, radius, tuple(points), clear)
+    return PeriodClaim(
+        observation, lines, clip_slopes, action, checked, kept, radius, tuple(points), clear, form, two_lines
+    )
+
+
+def _read_lines(layout: Layout, streams: _Streams, form: int) -> tuple[tuple[Lines, ...], tuple[TwoLines, ...]]:
+    """What is claimed about the neurons; the second only with the form TWO_LINES."""
+    if form == TWO_LINES:
+        return (), tuple(TwoLines(*(streams.take(size) for _ in range(4))) for size in layout.neurons)
+    lines = tuple(
+        Lines(*(streams.take(size) for _ in range(3 if smooth else 1)))
+        for size, smooth in zip(layout.neurons, layout.smooth, strict=True)
+    )
+    return lines, ()
 
 
 def _read_action(layout: Layout, streams: _Streams, shared: int, observation: Products | None) -> ActionClaim:

@@ -1,0 +1,119 @@
+"""What the policy sees of a set of states, and what a claimed set of actions leaves of linear functions of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from flint import arb, arb_mat
+
+from .image import Start, image_of
+from .layout import Layout
+from .leaf import BOX, PERTURBATION, PRODUCT, ActionClaim, Products
+from .program import Program
+from .rejection import Rejected
+
+Vector: TypeAlias = list[Any]
+Column: TypeAlias = tuple[tuple[int, int], Vector]
+"""Origin of a private factor, as in a claim, and what it adds to every action."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The set of observations ``center + rows b + box e + noise e'``.
+
+    Attributes
+    ----------
+    center : list of balls, (o,)
+    rows : arb_mat, (o, q)
+        One column per factor, the tracked set's first.
+    shared : int
+        How many of them are the tracked set's; the others are products.
+    box, noise : list of balls, (o,)
+        Half-widths of rows of one component each: left over by the observation map, perturbation.
+    """
+
+    center: Vector
+    rows: Any
+    shared: int
+    box: Vector
+    noise: Vector
+
+    def mapped(self, matrix: Any) -> tuple[list[Vector], list[Column]]:
+        """The rows behind a linear map (m, o): per output those of the tracked set, and the private columns."""
+        mapped, table = (matrix * self.rows).tolist(), matrix.tolist()
+        columns: list[Column] = []
+        for position in range(self.rows.ncols() - self.shared):
+            columns.append(((PRODUCT, position), [row[self.shared + position] for row in mapped]))
+        for kind, sizes in ((BOX, self.box), (PERTURBATION, self.noise)):
+            for position, size in enumerate(sizes):
+                if not size.is_zero():
+                    columns.append(((kind, position), [row[position] * size for row in table]))
+        return [row[: self.shared] for row in mapped], columns
+
+
+def observe(layout: Layout, program: Program, radius: Vector, states: Start, products: Products | None) -> Seen:
+    """What the policy sees of a set of states.
+
+    Parameters
+    ----------
+    layout : Layout
+    program : Program
+        The observation map.
+    radius : list of balls
+        Of the observation's perturbation.
+    states : Start
+        No boxed part.
+    products : Products or None
+        None where the policy sees plain states.
+
+    Raises
+    ------
+    Rejected
+        The observation map is not defined on all of the set.
+    """
+    count = len(states.rows)
+    if layout.observed is not None:
+        flat = [row[i] for i in layout.observed for row in states.rows]
+        rows = arb_mat(layout.observations, count, flat)
+        center = [arb(states.center[i]) for i in layout.observed]
+        return Seen(center, rows, count, [arb(0)] * layout.observations, radius)
+    assert products is not None
+    image = image_of(program, states, products)
+    if not all(bool(x.is_finite()) for x in (*image.center, *image.rest)):
+        raise Rejected("what the policy sees is not defined on all of the set")
+    shared = [[arb(0)] * 0 for _ in range(layout.observations)]
+    if count:
+        flat = [x for row in states.rows for x in row]
+        shared = (image.jacobian * arb_mat(count, len(states.center), flat).transpose()).tolist()
+    entries = [x for i, row in enumerate(shared) for x in (*row, *(new[i] for new in image.fresh))]
+    width = count + len(image.fresh)
+    return Seen(image.center, arb_mat(layout.observations, width, entries), count, image.rest, radius)
+
+
+def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: ActionClaim) -> Vector:
+    """What the claimed rows leave of computed ones, per action: differences, and whole columns that are not kept.
+
+    A claimed row that is like no computed one only makes the claimed set larger.
+
+    Parameters
+    ----------
+    shared : sequence of lists of balls
+        Per action, one entry per row of the tracked set.
+    columns : sequence of Column
+    claim : ActionClaim
+
+    Returns
+    -------
+    list of balls
+    """
+    kept = {origin: row for origin, row in zip(claim.origins, claim.private, strict=True)}
+    needed = []
+    for i, mapped in enumerate(shared):
+        needed.append(sum((abs(x - row[i]) for x, row in zip(mapped, claim.rows, strict=True)), arb(0)))
+    for origin, column in columns:
+        row = kept.get(origin)
+        for i, x in enumerate(column):
+            needed[i] += abs(x) if row is None else abs(x - row[i])
+    return needed
