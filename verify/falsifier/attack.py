@@ -3,8 +3,8 @@
 Every coordinate has its own step, which grows while the gradient keeps its sign and shrinks when it turns: in a linear
 loop that ends in the corner sign(gradient), in a curved one at an inner maximum. Columns differ in how soft their
 objective is, in their first step, and some aim at one facet at one time first, since the worst time may be one that
-nothing can change. Which of these finds the worst trajectory depends on the problem. Twice, the poorer half is replaced
-by variations of the best.
+nothing can change. Which of these finds the worst trajectory depends on the problem. Now and then the poorer half is
+replaced by variations of the best.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ GROWTH, SHRINKAGE = 1.3, 0.4
 AIMED = 0.6
 """Share of the run in which every second column aims at one facet at one time."""
 
-RENEWALS = (1 / 3, 2 / 3)
+RENEWALS = (0.2, 0.4, 0.6, 0.8)
 """When, as a share of the run, the poorer half of every group starts again near the best."""
 
-VARIED = 0.1
+VARIED = 0.2
 """Share of the coordinates that such a start draws anew."""
 
 PATIENCE = 8

@@ -63,6 +63,13 @@ class Rollout:
     loop : ClosedLoop
     substeps : int
         Runge-Kutta steps of fourth order per control period; 1 for a plant in discrete time.
+
+    Attributes
+    ----------
+    times : array, shape (T * substeps + 1,)
+        Seconds.
+    operations : int
+        Array operations of one forward pass, network aside; a trace keeps as many numbers per trajectory.
     """
 
     def __init__(self, loop: ClosedLoop, substeps: int) -> None:
@@ -71,6 +78,8 @@ class Rollout:
         self.step = float(loop.period) / self.substeps
         self.times = float(loop.period) * np.arange(loop.periods * self.substeps + 1) / self.substeps
         self.plant = TapeAdjoint(loop.plant.tape)
+        evaluations = loop.periods * self.substeps * (1 if loop.plant.discrete else 4)
+        self.operations = evaluations * max(len(loop.plant.tape.instructions), 1)
         self.controller = Controller(loop)
         self.delayed = np.array([[float(value)] for value in loop.delayed_action])
 
