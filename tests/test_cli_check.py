@@ -265,16 +265,6 @@ def test_ctrl_c_aborts(folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatc
     assert (outcome.code, outcome.out, outcome.err) == (130, "", "setrl: aborted\n")
 
 
-MESSAGES_ONLY = """\
-import importlib.util, pathlib, sys, types
-# `import onnx` imports numpy: here is the message definition without the package around it
-place = pathlib.Path(importlib.util.find_spec("onnx").submodule_search_locations[0]) / "onnx_ml_pb2.py"
-spec = importlib.util.spec_from_file_location("onnx_ml_pb2", place)
-messages = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(messages)
-sys.modules["onnx"] = types.ModuleType("onnx")
-sys.modules["onnx"].ModelProto = messages.ModelProto
-"""
 MAIN = """\
 import sys
 from setrl.cli import main
@@ -289,18 +279,16 @@ ALLOWED |= {"setrl.verify.interruption", "setrl.verify.deadline"}  # progress an
 
 
 @pytest.mark.parametrize("file", ["policy.cert", "witness.json"])
-@pytest.mark.parametrize("prelude", ["", MESSAGES_ONLY], ids=["as installed", "onnx without its package"])
-def test_the_engine_and_numpy_play_no_part(file: str, prelude: str, folder: Path) -> None:
+def test_the_engine_and_numpy_play_no_part(file: str, folder: Path) -> None:
     outcome = subprocess.run(
-        [sys.executable, "-c", prelude + MAIN, file, *FILES], env=ENVIRONMENT, capture_output=True, text=True
+        [sys.executable, "-c", MAIN, file, *FILES], env=ENVIRONMENT, capture_output=True, text=True
     )
     assert outcome.returncode == 0, outcome.stderr
     modules = set(outcome.stdout.splitlines()[-1].split())
     own = {name for name in modules if name.split(".")[0] == "setrl"}
     assert {name for name in own - ALLOWED if not name.startswith("setrl.verify.checker")} == set()
     assert "setrl.verify.checker.witness" in own and "flint" in modules
-    if prelude:
-        assert modules & {"numpy", "scipy", "cvxpy", "onnxruntime", "matplotlib"} == set()
+    assert modules & {"numpy", "scipy", "cvxpy", "onnxruntime", "matplotlib"} == set()
 
 
 def test_progress_counts_leaves() -> None:

@@ -112,7 +112,8 @@ def verify(
     plant : Plant, optional
         Instead of the plant that the specification names.
     progress : callable, optional
-        Called with the state of the search after every batch.
+        Called with the state of the search after every batch. Its method ``checking(checked, leaves)``, where it has
+        one, is called after every leaf that was checked.
     deadline : Deadline, optional
         Instead of one made from ``options.timeout``; lets the caller interrupt.
     check : bool
@@ -208,7 +209,8 @@ def verify_radii(
             timings = {**timings, "witness": time.perf_counter() - before}
         result = _result(job, chosen, problem, candidate, witness, tuple(semantics), tuple(notes), timings)
         if result.verdict is Verdict.CLAIMED:
-            result = _certified(result, job, chosen, problem, files, check, workers, deadline)
+            watch = getattr(progress, "checking", None)
+            result = _certified(result, job, chosen, problem, files, check, workers, deadline, watch)
         results.append(result)
     require_no_contradiction(results)
     return results
@@ -223,8 +225,12 @@ def _certified(
     check: bool,
     workers: int | None,
     deadline: Deadline,
+    watch: Callable[[int, int], None] | None,
 ) -> Result:
-    """A claim with its certificate: VERIFIED where the checker accepted it, UNKNOWN where it did not."""
+    """A claim with its certificate: VERIFIED where the checker accepted it, UNKNOWN where it did not.
+
+    What is VERIFIED are the checker's figures, not the engine's.
+    """
     if isinstance(files, str):
         return replace(result, notes=(*result.notes, f"not checked: {files}"))
     loop = job.loops[problem]
@@ -240,11 +246,29 @@ def _certified(
         note = "not checked, as asked for: `setrl check` says whether the certificate proves this"
         return replace(result, certificate=content, timings=timings, notes=(*result.notes, note))
     answer = check_certificate(
-        content, files.policy, files.specification, files.folder, workers=workers, stop=lambda: deadline.expired
+        content,
+        files.policy,
+        files.specification,
+        files.folder,
+        progress=watch,
+        workers=workers,
+        stop=lambda: deadline.expired,
     )
     timings["check"] = time.perf_counter() - written
     if isinstance(answer, Accepted):
-        return replace(result, verdict=Verdict.VERIFIED, certificate=content, timings=timings)
+        return replace(
+            result,
+            verdict=Verdict.VERIFIED,
+            certificate=content,
+            timings=timings,
+            requirements=tuple(
+                replace(entry, margin=margin)
+                for entry, (_, margin) in zip(result.requirements, answer.margins, strict=True)
+            ),
+            value=None
+            if loop.reward is None or answer.value is None
+            else Value(*answer.value, float(loop.reward.discount)),
+        )
     reason = Reason(
         f"every cell was proved, but the checker did not accept the certificate: {answer}",
         source="check",

@@ -5,8 +5,12 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
+from pathlib import Path
 from typing import Any
 
 from ...specs.errors import PolicyError
@@ -87,15 +91,30 @@ class File:
     digest: str
 
 
+@cache
+def _message_type() -> Any:
+    """The generated message class of ONNX models, without the package around it: that would load numpy."""
+    if "onnx" in sys.modules:
+        return sys.modules["onnx"].ModelProto
+    package = find_spec("onnx")
+    folder = None if package is None or package.origin is None else Path(package.origin).parent
+    if folder is None:
+        raise PolicyError("the package onnx is not installed")
+    spec = spec_from_file_location("onnx_ml_pb2", folder / "onnx_ml_pb2.py")
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.ModelProto
+
+
 def read_file(content: bytes) -> File:
     """Read a file of plain operators with one input and one output; `PolicyError` for everything else."""
-    import onnx
     from google.protobuf.message import DecodeError
 
     if len(content) > MAX_BYTES:
         raise PolicyError(f"the network has more than {MAX_BYTES} bytes")
     try:
-        model = onnx.ModelProto.FromString(content)
+        model = _message_type().FromString(content)
     except (DecodeError, ValueError) as error:
         raise PolicyError("the bytes are no ONNX model") from error
     versions = [entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")]
