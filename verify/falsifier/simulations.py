@@ -63,6 +63,7 @@ class Simulations:
 
     @property
     def over(self) -> bool:
+        """Whether time is up."""
         return self.stop is not None and self.stop()
 
     def simulate(self, choices: Choices, tolerance: tuple[float, float], samples: int) -> Trajectories:
@@ -106,6 +107,7 @@ class Simulations:
         return number in self.solid
 
     def enter(self, number: int, candidate: Candidate) -> None:
+        """Keep a candidate of a requirement (its number) if it is the worst so far."""
         if number in self.found and self.found[number].violation >= candidate.violation:
             return
         self.found[number] = candidate
