@@ -8,9 +8,12 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
-from setrl.verify.checker.certificate import prepare
+import pytest
+
+from setrl.verify.checker import certificate as checker
 from setrl.verify.checker.certificate_file import MAGIC, canonical, read_certificate
 from setrl.verify.checker.layout import Condition, Layout
 from setrl.verify.checker.leaf import Choice, Leaf, PeriodClaim, Products, SetClaim, StepClaim, read_leaf
@@ -63,12 +66,21 @@ class Writer:
         return self
 
     def _period(self, claim: PeriodClaim, shared: int) -> None:
+        if self.layout.version > 1:
+            self.count("form", claim.form)
         if claim.observation is not None:
             self._products("observation", claim.observation)
+        if claim.seen is not None:
+            self._set("observation", claim.seen)
         for lines in claim.lines:
             self.put("slopes", lines.slopes)
             self.put("line offsets", lines.offsets or ())
             self.put("line errors", lines.errors or ())
+        for two in claim.two_lines:
+            self.put("slopes", two.lower_slopes)
+            self.put("line offsets", two.lower_offsets)
+            self.put("slopes", two.upper_slopes)
+            self.put("line offsets", two.upper_offsets)
         self.put("clip slopes", claim.clip_slopes or ())
         action = claim.action
         self.put("action center", action.center)
@@ -106,11 +118,13 @@ class Writer:
         self.rows("prior", step.prior or ())
         if step.products is not None:
             self._products("step", step.products)
-        end: SetClaim = step.end
-        self.put("end center", end.center)
-        self.rows("end rows", end.rows)
-        self.rows("end products", end.fresh)
-        self.put("end radius", end.radius)
+        self._set("end", step.end)
+
+    def _set(self, what: str, claim: SetClaim) -> None:
+        self.put(f"{what} center", claim.center)
+        self.rows(f"{what} rows", claim.rows)
+        self.rows(f"{what} products", claim.fresh)
+        self.put(f"{what} radius", claim.radius)
 
     def _dropped(self, what: str, kept: Sequence[int], count: int) -> None:
         dropped = sorted(set(range(count)) - set(kept))
@@ -160,10 +174,16 @@ class Certificate:
         return Writer(self.setting.layout).leaf(leaf)
 
 
+def reading_once(patch: pytest.MonkeyPatch) -> None:
+    """Read the same policy and specification once: reading them thousands of times is most of the time otherwise."""
+    for name in ("read_contract", "read_network"):
+        patch.setattr(checker, name, lru_cache(maxsize=64)(getattr(checker, name)))
+
+
 def opened(content: bytes, policy: bytes, specification: bytes) -> Certificate:
     """A certificate taken apart."""
     file = read_certificate(content)
-    setting = prepare(file.header, policy, specification, None)
+    setting = checker.prepare(file.header, policy, specification, None)
     leaves = tuple(read_leaf(setting.layout, *file.streams(leaf)) for leaf in range(len(file.header.leaves)))
     return Certificate(header_of(content), leaves, setting)
 

@@ -16,7 +16,7 @@ import certificate_streams
 import pytest
 from certificate_corruptions import Corruption, corruptions
 from certificate_oracle import falsity
-from certificate_streams import Certificate, opened
+from certificate_streams import Certificate, opened, reading_once
 from certificate_trajectories import Question
 from certificates import Case, case_of
 
@@ -24,9 +24,9 @@ from setrl.models.binding import bind
 from setrl.models.onnx_reader import read_policy
 from setrl.specs.errors import InputError
 from setrl.specs.reader import parse_specification
-from setrl.verify.checker import certificate as checker
 from setrl.verify.checker.certificate import Accepted, check
 from setrl.verify.checker.network import read_network
+from setrl.verify.checker.rejection import Rejected
 
 LIMIT = 1.0
 """CPU seconds for one file."""
@@ -51,10 +51,8 @@ LARGE: list[tuple[int, dict[str, Any]]] = [
 
 
 @pytest.fixture(autouse=True)
-def files_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same bytes give the same contract: reading them two thousand times is most of the time otherwise."""
-    for name in ("read_contract", "read_network"):
-        monkeypatch.setattr(checker, name, lru_cache(maxsize=64)(getattr(checker, name)))
+def _files_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    reading_once(monkeypatch)
 
 
 @dataclass
@@ -101,7 +99,7 @@ def false(case: Case, corruption: Corruption, base: Certificate) -> str:
     try:
         given = opened(corruption.content, case.policy, case.specification)
         return falsity(question_of(case, corruption.content), given, base)
-    except (InputError, checker.Rejected) as problem:
+    except (InputError, Rejected) as problem:
         return f"not of the format, or not about these files: {problem}"
 
 
@@ -142,26 +140,12 @@ def concluded(tally: Tally, count: int) -> None:
     assert tally.shown >= 0.5 * tally.judged, "the oracle hardly notices anything: it judges nothing"
 
 
-NEGATIVE = "the linear step's fresh rows may be longer than needed by more than a half-width is below 0"
-FOUND = {4: NEGATIVE}
-"""Cases with a false certificate that is accepted, and why."""
-
-
-def known(subjects: list[tuple[int, dict[str, Any]]]) -> list[Any]:
-    return [
-        pytest.param(number, given, marks=pytest.mark.xfail(reason=FOUND[number], strict=True))
-        if number in FOUND
-        else (number, given)
-        for number, given in subjects
-    ]
-
-
-@pytest.mark.parametrize(("number", "given"), known(SMALL))
+@pytest.mark.parametrize(("number", "given"), SMALL)
 def test_corrupted_certificates_that_are_accepted_are_true(number: int, given: dict[str, Any]) -> None:
     concluded(tried(number, given, 200, 12), 200)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "given"), known([*SMALL, *LARGE]))
+@pytest.mark.parametrize(("number", "given"), [*SMALL, *LARGE])
 def test_twenty_thousand_corrupted_certificates(number: int, given: dict[str, Any]) -> None:
     concluded(tried(number, given, 600, 5), 600)

@@ -25,13 +25,7 @@ FAST = [number for number in range(50) if number not in (16, 19, 23, 30, 37)]
 SPLIT = (0, 1, 2, 3, 4, 7, 8, 12, 14, 15, 18, 19, 20, 22)
 """Numbers of cases that a bound near the worst trajectory makes the engine split."""
 
-HESSIAN = "the Hessians of a nonlinear observation differ a little; only an action's box has room for the difference"
-COSINE = "ranges of sine and cosine exceed 1, and are wider on some smaller balls than on larger ones"
-REJECTED = {
-    **dict.fromkeys((21, 26, 39, 57, 62, 80, 89, 107, 165, 170, 210, 219), HESSIAN),
-    61: COSINE,
-    88: COSINE,
-}
+REJECTED: dict[int, str] = {}
 """Honest certificates that the checker does not accept, and why."""
 
 

@@ -22,7 +22,7 @@ from setrl.verify.checker.backward import Backward, _Line, _Side, _split
 from setrl.verify.checker.certificate import Accepted, check
 from setrl.verify.checker.deployment import Deployment
 from setrl.verify.checker.expressions import parse
-from setrl.verify.checker.image import Start
+from setrl.verify.checker.image import Image, Start, image_of
 from setrl.verify.checker.layers import Activation, Dense, Diagonal, Layer, Selection
 from setrl.verify.checker.layout import SMOOTH, Layout
 from setrl.verify.checker.leaf import (
@@ -34,6 +34,7 @@ from setrl.verify.checker.leaf import (
     ActionClaim,
     PeriodClaim,
     Products,
+    SetClaim,
     TwoLines,
 )
 from setrl.verify.checker.observed import observe
@@ -54,6 +55,17 @@ KINDS = (
 SEEDS = range(40)
 VIEWS = ("x*y + z", "sin(x) - y", "z**2 + x*x")
 """A nonlinear observation of three states; its Hessian is that of the exact function at any point but for sin."""
+
+
+def claimed(image: Image, states: Start) -> SetClaim:
+    """A set of floats, a little larger than an image."""
+    count, size = len(states.rows), len(image.center)
+    flat = [x for row in states.rows for x in row]
+    mapped = (arb_mat(count, len(states.center), flat) * image.jacobian.transpose()).tolist()
+    rows, fresh = (tuple(tuple(float(x.mid()) for x in row) for row in part) for part in (mapped, image.fresh))
+    radius = tuple(float((r.upper() * (1 + 2.0**-12) + 2.0**-40).mid()) for r in image.rest)
+    assert len(radius) == size
+    return SetClaim(tuple(float(c.mid()) for c in image.center), rows, fresh, radius)
 
 
 class Problem:
@@ -102,7 +114,10 @@ class Problem:
         )
         self.products = Products((0, 1, 2, 3), ((0, 0), (0, 3), (1, 2))) if self.expressions else None
         with ctx.workprec(64):
-            self.seen = observe(layout, program, self.policy.radius, self.states, self.products)
+            self.observed = (
+                None if self.products is None else claimed(image_of(program, self.states, self.products), self.states)
+            )
+            self.seen = observe(layout, program, self.policy.radius, self.states, self.products, self.observed)
         self.slopes = tuple(generator.uniform(-0.2, 1.2, self.inputs).tolist()) if clipped else None
         choose = self._any_lines if seed % 3 == 1 else lines_of
         self.crown = Crown(self.policy, Observed.of(self.seen), self.slopes, choose)
@@ -145,6 +160,7 @@ class Problem:
     def accepts(self, action: ActionClaim | None = None, lines: list[TwoLines] | None = None) -> bool:
         claim = PeriodClaim(
             self.products,
+            self.observed,
             (),
             self.slopes,
             self.action if action is None else action,
@@ -367,7 +383,7 @@ def converted(content: bytes, policy: bytes, specification: bytes, parallel: boo
             states, claim = next(waiting)
             assert claim == period
             with ctx.workprec(64):
-                seen = observe(given.layout, given.observe, given.radius, states, claim.observation)
+                seen = observe(given.layout, given.observe, given.radius, states, claim.observation, claim.seen)
             crown = Crown(given, Observed.of(seen), claim.clip_slopes, parallel_to(claim) if parallel else lines_of)
             proved.append(bool((crown.needed(claim.action) <= (1 - 1e-9) * np.array(claim.action.box)).all()))
             if proved[-1]:

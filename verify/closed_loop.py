@@ -95,6 +95,8 @@ class ActionChoices:
     ----------
     products : Products or None
         Of the observation's map; None where plain states are observed.
+    seen : Zonotope or None, shape (B, n_obs)
+        What the map made of the states.
     lines : tuple of array, shape (B, n) each
         Of every activation the slopes, of a smooth one also offsets and errors; last the slopes of the specification's
         clip where there is one.
@@ -106,6 +108,7 @@ class ActionChoices:
     """
 
     products: Products | None
+    seen: Zonotope | None
     lines: tuple[Array, ...]
     origins: NDArray[np.intp]
     kept: NDArray[np.intp]
@@ -273,15 +276,15 @@ class Engine:
         Returns the action set, e_L, the share of the private part that comes from the observation perturbation, and the
         choices.
         """
-        model, products = self.model, None
+        model, products, image = self.model, None, None
         if model.observed is not None:
             seen = state.coordinates(model.observed)
         else:
             from .flow import image_of
 
             assert model.loop.observation is not None
-            seen, _, products = image_of(model.loop.observation, state, self.options.quadratic_rows * state.dimension)
-            seen = unbox(seen)
+            image, _, products = image_of(model.loop.observation, state, self.options.quadratic_rows * state.dimension)
+            seen = unbox(image)
         before = seen.generators.shape[1]
         perturbed = append_rows(seen, diagonal_rows(radius)) if radius.any() else seen
         after = perturbed.generators.shape[1]
@@ -315,7 +318,7 @@ class Engine:
             (CLIPPED, np.arange(0 if model.clip is None else error.shape[1])),
         ]
         origins = np.concatenate([np.stack([np.full_like(index, kind), index], 1) for kind, index in kinds])
-        return merged, error, share, ActionChoices(products, tuple(lines), origins, kept)
+        return merged, error, share, ActionChoices(products, image, tuple(lines), origins, kept)
 
     def _clip(self, action: Zonotope) -> tuple[Zonotope, Array]:
         """Clip every action to its bounds; each relaxation error becomes a private generator. And the slopes."""

@@ -154,10 +154,13 @@ class Recorder:
         boxed = np.flatnonzero(tracked.radius[place] > 0.0)
         shared = np.concatenate([present, count + boxed])
         origins = choices.origins
-        if choices.products is not None:
+        if choices.products is not None and choices.seen is not None:
             where = np.full(count + dimension, -1)
             where[shared] = np.arange(shared.size)
             fresh = _put_products(stream, choices.products[place], where)
+            rows = choices.seen.generators[place]
+            stream.put(choices.seen.center[place], rows[shared], rows[count + dimension + fresh])
+            stream.put(choices.seen.radius[place])
             origins = origins.copy()
             origins[fresh, 1] = np.arange(fresh.size)
         stream.put(*(line[place] for line in choices.lines))

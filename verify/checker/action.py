@@ -90,7 +90,7 @@ def check_action(policy: Policy, states: Start, claim: PeriodClaim, what: str) -
     Rejected
     """
     layout, deployment = policy.layout, policy.deployment
-    seen = observe(layout, policy.observe, policy.radius, states, claim.observation)
+    seen = observe(layout, policy.observe, policy.radius, states, claim.observation, claim.seen)
     form = Backward(seen, claim.two_lines) if claim.form == TWO_LINES else Forward(seen, claim.lines)
     error: Vector | None = None
     magnitude: Vector = []

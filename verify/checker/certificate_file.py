@@ -141,7 +141,8 @@ def read_certificate(content: bytes) -> CertificateFile:
 def _header(text: bytes) -> Header:
     try:
         data = json.loads(text.decode("ascii"))
-    except (ValueError, RecursionError) as error:
+        spelled = canonical(data)
+    except (ValueError, RecursionError) as error:  # also numbers that are not finite
         raise InputError("the certificate's header is no JSON document") from error
     if not isinstance(data, dict) or type(data.get("format")) is not int:
         raise InputError("the certificate's header has no format")
@@ -150,7 +151,7 @@ def _header(text: bytes) -> Header:
         raise InputError(f"the certificate has format {data['format']}; this program reads format {known}")
     if set(data) != set(_KEYS) or not all(_is(data[key], kind) for key, kind in _KEYS.items()):
         raise InputError("the certificate's header has not exactly the keys of its format")
-    if canonical(data) != text:
+    if spelled != text:
         raise InputError("the certificate's header is not in canonical form")
     radius, runtime, value = data["observation_radius"], data["runtime"], data["value"]
     semantics = tuple(data["semantics"])

@@ -22,8 +22,9 @@ from typing import Any, TypeAlias
 from flint import arb, arb_mat
 
 from .jets import map_jets
-from .leaf import Products, Row
+from .leaf import Products, Row, SetClaim
 from .program import Program, used_inputs
+from .rejection import require_within
 
 Vector: TypeAlias = list[Any]
 
@@ -167,3 +168,22 @@ def _quadratic(
             for j in range(size):
                 total += rho * abs(middle[i][j]) * (inner[j] + arb(boxed[j]) / 2)
     return _Form(shift, kept, total + uncertain)
+
+
+def require_image(image: Image, start: Start, claim: SetClaim, what: str) -> None:
+    """Require that a claimed set contains an image, row by row.
+
+    ``|center - c'| + sum_j |row_j - g'_j| + rest <= r'``.
+    """
+    size = len(image.center)
+    needed = [abs(c - d) + r for c, d, r in zip(image.center, claim.center, image.rest, strict=True)]
+    if start.rows:
+        rows = arb_mat(len(start.rows), len(start.center), [x for row in start.rows for x in row])
+        mapped = (rows * image.jacobian.transpose()).entries()
+        for position, row in enumerate(claim.rows):
+            for i, x in enumerate(row):
+                needed[i] += abs(mapped[position * size + i] - x)
+    for computed, row in zip(image.fresh, claim.fresh, strict=True):
+        for i, x in enumerate(row):
+            needed[i] += abs(computed[i] - x)
+    require_within(needed, claim.radius, what)

@@ -118,6 +118,9 @@ class PeriodClaim:
     Attributes
     ----------
     observation : Products or None
+        Of the observation map; None where the policy sees plain states.
+    seen : SetClaim or None
+        What the map makes of the tracked set.
     lines : tuple of Lines
         Of every activation; none with the form TWO_LINES.
     clip_slopes : tuple or None
@@ -138,6 +141,7 @@ class PeriodClaim:
     """
 
     observation: Products | None
+    seen: SetClaim | None
     lines: tuple[Lines, ...]
     clip_slopes: Floats | None
     action: ActionClaim
@@ -187,6 +191,12 @@ class _Streams:
         if self.next_float > len(self.floats):
             raise InputError("the certificate's floats end early")
         return self.floats[start : self.next_float]
+
+    def half_widths(self, count: int) -> Floats:
+        found = self.take(count)
+        if not all(x >= 0.0 for x in found):
+            raise InputError("the certificate has a half-width below 0")
+        return found
 
     def rows(self, count: int, width: int) -> tuple[Row, ...]:
         flat = self.take(count * width)
@@ -267,9 +277,9 @@ def read_leaf(layout: Layout, floats: Sequence[float], integers: Sequence[int]) 
     width = layout.tracked
     center = streams.take(width)
     rows = streams.rows(streams.whole(0, len(integers) + len(floats)), width)
-    radius = streams.take(width)
+    radius = streams.half_widths(width)
     varying = len(layout.varying)
-    disturbance = streams.take(varying), streams.take(varying)
+    disturbance = streams.take(varying), streams.half_widths(varying)
     points = tuple(streams.point(condition, Fraction(0)) for condition in layout.conditions)
     periods, count = [], len(rows) + _boxed(radius)
     for number in range(layout.periods):
@@ -289,7 +299,7 @@ def _boxed(radius: Floats) -> int:
 
 def _read_period(layout: Layout, streams: _Streams, number: int, shared: int) -> PeriodClaim:
     form = streams.whole(PARALLEL, TWO_LINES) if layout.version > 1 else PARALLEL
-    observation = streams.products(shared) if layout.observed is None else None
+    observation, seen = _read_observation(layout, streams, shared) if layout.observed is None else (None, None)
     lines, two_lines = _read_lines(layout, streams, form)
     clip_slopes = streams.take(layout.inputs) if layout.clipped else None
     action = _read_action(layout, streams, shared, observation)
@@ -304,7 +314,7 @@ def _read_period(layout: Layout, streams: _Streams, number: int, shared: int) ->
         steps.append(step)
     kept = radius = None
     if number + 1 < layout.periods:
-        kept, radius = streams.kept(rows), streams.take(layout.tracked)
+        kept, radius = streams.kept(rows), streams.half_widths(layout.tracked)
     points, proofs = [], []
     for condition in layout.conditions:
         points.append(streams.point(condition, begin + layout.period))
@@ -318,8 +328,15 @@ def _read_period(layout: Layout, streams: _Streams, number: int, shared: int) ->
         for i, s in enumerate(steps)
     )
     return PeriodClaim(
-        observation, lines, clip_slopes, action, checked, kept, radius, tuple(points), clear, form, two_lines
+        observation, seen, lines, clip_slopes, action, checked, kept, radius, tuple(points), clear, form, two_lines
     )
+
+
+def _read_observation(layout: Layout, streams: _Streams, shared: int) -> tuple[Products, SetClaim]:
+    products, size = streams.products(shared), layout.observations
+    center, mapped = streams.take(size), streams.rows(shared, size)
+    fresh = streams.rows(len(products.pairs), size)
+    return products, SetClaim(center, mapped, fresh, streams.half_widths(size))
 
 
 def _read_lines(layout: Layout, streams: _Streams, form: int) -> tuple[tuple[Lines, ...], tuple[TwoLines, ...]]:
@@ -346,7 +363,7 @@ def _read_action(layout: Layout, streams: _Streams, shared: int, observation: Pr
     if len(set(origins)) != len(origins):
         raise InputError("the certificate has a private row of an action twice")
     private = streams.rows(len(origins), layout.inputs)
-    return ActionClaim(center, rows, tuple(origins), private, streams.take(layout.inputs))
+    return ActionClaim(center, rows, tuple(origins), private, streams.half_widths(layout.inputs))
 
 
 def _read_step(layout: Layout, streams: _Streams, joint: int, rows: int, position: int) -> StepClaim:
@@ -354,7 +371,7 @@ def _read_step(layout: Layout, streams: _Streams, joint: int, rows: int, positio
     kept: tuple[int, ...] = ()
     start_radius = None
     if position:
-        kept, start_radius = streams.kept(rows - joint), streams.take(states)
+        kept, start_radius = streams.kept(rows - joint), streams.half_widths(states)
     count = joint + len(kept)
     prior = None if layout.discrete else (streams.take(states), streams.take(states))
     products = None
@@ -362,4 +379,4 @@ def _read_step(layout: Layout, streams: _Streams, joint: int, rows: int, positio
         products = streams.products(count)
     center, mapped = streams.take(states), streams.rows(count, states)
     fresh = streams.rows(states if products is None else len(products.pairs), states)
-    return StepClaim(kept, start_radius, prior, products, SetClaim(center, mapped, fresh, streams.take(states)))
+    return StepClaim(kept, start_radius, prior, products, SetClaim(center, mapped, fresh, streams.half_widths(states)))

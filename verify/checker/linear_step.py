@@ -26,13 +26,13 @@ from flint import arb, arb_mat
 
 from . import ranges
 from .between import Between, Motion
-from .image import Image, Start, box_of, spread_columns
+from .image import Image, Start, box_of, require_image, spread_columns
 from .jets import map_jets
 from .leaf import Floats, Row, SetClaim, StepClaim
 from .polynomials import combine, powers_of
 from .program import Program, ball, used_inputs
 from .rejection import Rejected
-from .step import a_priori, require_image
+from .step import a_priori
 from .taylor import evaluate
 
 Vector: TypeAlias = list[Any]

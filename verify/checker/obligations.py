@@ -19,14 +19,14 @@ from .between import Motion
 from .conditions import margin_of, separation, support_of
 from .contract import Bounds, Contract
 from .cover import Box, contains
-from .image import Start, image_of
+from .image import Start, image_of, require_image
 from .layout import Layout
 from .leaf import Floats, Leaf, PeriodClaim, Row, SetClaim, StepClaim, meets
 from .linear_step import LinearMotion, follow_linear
 from .program import Program, ball, compile_program
 from .rejection import Rejected, require_within
 from .reward import worst_cost
-from .step import follow, require_image
+from .step import follow
 
 PRECISION = 64
 """Bits. More would prove the same: the claims leave room for it."""

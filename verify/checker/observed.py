@@ -8,9 +8,9 @@ from typing import Any, TypeAlias
 
 from flint import arb, arb_mat
 
-from .image import Start, image_of
+from .image import Start, image_of, require_image
 from .layout import Layout
-from .leaf import BOX, PERTURBATION, PRODUCT, ActionClaim, Products
+from .leaf import BOX, PERTURBATION, PRODUCT, ActionClaim, Products, SetClaim
 from .program import Program
 from .rejection import Rejected
 
@@ -53,8 +53,10 @@ class Seen:
         return [row[: self.shared] for row in mapped], columns
 
 
-def observe(layout: Layout, program: Program, radius: Vector, states: Start, products: Products | None) -> Seen:
-    """What the policy sees of a set of states.
+def observe(
+    layout: Layout, program: Program, radius: Vector, states: Start, products: Products | None, claim: SetClaim | None
+) -> Seen:
+    """What the policy sees of a set of states: plain states, or the claimed set once it contains their image.
 
     Parameters
     ----------
@@ -67,11 +69,13 @@ def observe(layout: Layout, program: Program, radius: Vector, states: Start, pro
         No boxed part.
     products : Products or None
         None where the policy sees plain states.
+    claim : SetClaim or None
+        The claimed set of observations, where it does not.
 
     Raises
     ------
     Rejected
-        The observation map is not defined on all of the set.
+        The claimed set is too small, or the observation map is not defined on all of the set.
     """
     count = len(states.rows)
     if layout.observed is not None:
@@ -79,17 +83,15 @@ def observe(layout: Layout, program: Program, radius: Vector, states: Start, pro
         rows = arb_mat(layout.observations, count, flat)
         center = [arb(states.center[i]) for i in layout.observed]
         return Seen(center, rows, count, [arb(0)] * layout.observations, radius)
-    assert products is not None
+    assert products is not None and claim is not None
     image = image_of(program, states, products)
     if not all(bool(x.is_finite()) for x in (*image.center, *image.rest)):
         raise Rejected("what the policy sees is not defined on all of the set")
-    shared = [[arb(0)] * 0 for _ in range(layout.observations)]
-    if count:
-        flat = [x for row in states.rows for x in row]
-        shared = (image.jacobian * arb_mat(count, len(states.center), flat).transpose()).tolist()
-    entries = [x for i, row in enumerate(shared) for x in (*row, *(new[i] for new in image.fresh))]
-    width = count + len(image.fresh)
-    return Seen(image.center, arb_mat(layout.observations, width, entries), count, image.rest, radius)
+    require_image(image, states, claim, "the set of observations")
+    columns = [*claim.rows, *claim.fresh]
+    flat = [row[i] for i in range(layout.observations) for row in columns]
+    rows = arb_mat(layout.observations, len(columns), flat)
+    return Seen([arb(c) for c in claim.center], rows, count, [arb(r) for r in claim.radius], radius)
 
 
 def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: ActionClaim) -> Vector:

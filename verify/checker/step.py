@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, TypeAlias
 
-from flint import arb, arb_mat
+from flint import arb
 
 from .between import Motion
-from .image import Image, Start, box_of, second_order, spread_columns
+from .image import Image, Start, box_of, require_image, second_order, spread_columns
 from .jets import flow_jets
-from .leaf import SetClaim, StepClaim
+from .leaf import StepClaim
 from .polynomials import combine, powers_of
 from .program import Program, ball, used_inputs
-from .rejection import Rejected, require_within
+from .rejection import Rejected
 from .taylor import evaluate
 
 Vector: TypeAlias = list[Any]
@@ -102,22 +102,3 @@ def a_priori(field: Program, box: Vector, duration: Fraction, guess: tuple[Seque
 
 def _widened(guess: Any) -> Any:
     return arb(guess.mid(), guess.rad() * (1 + arb(2) ** -20) + abs(guess.mid()) * arb(2) ** -40 + arb(2) ** -900)
-
-
-def require_image(image: Image, start: Start, claim: SetClaim, what: str) -> None:
-    """Require that a claimed set contains an image, row by row.
-
-    ``|center - c'| + sum_j |row_j - g'_j| + rest <= r'``.
-    """
-    size = len(image.center)
-    needed = [abs(c - d) + r for c, d, r in zip(image.center, claim.center, image.rest, strict=True)]
-    if start.rows:
-        rows = arb_mat(len(start.rows), len(start.center), [x for row in start.rows for x in row])
-        mapped = (rows * image.jacobian.transpose()).entries()
-        for position, row in enumerate(claim.rows):
-            for i, x in enumerate(row):
-                needed[i] += abs(mapped[position * size + i] - x)
-    for computed, row in zip(image.fresh, claim.fresh, strict=True):
-        for i, x in enumerate(row):
-            needed[i] += abs(computed[i] - x)
-    require_within(needed, claim.radius, what)
