@@ -18,7 +18,7 @@ from flint import ctx
 
 from setrl.models.simulation import act, derivative, observe
 from setrl.verify.checker.cover import leaf_boxes
-from setrl.verify.checker.leaf import Leaf, PeriodClaim
+from setrl.verify.checker.leaf import Leaf, PeriodClaim, SetClaim
 from setrl.verify.checker.loop import _action
 from setrl.verify.checker.program import ball
 from setrl.verify.checker.taylor import evaluate, solve
@@ -62,7 +62,7 @@ def _claims(leaf: Leaf) -> list[Any]:
     for period in leaf.periods:
         steps = tuple((step.kept, step.start_radius, step.end) for step in period.steps)
         forces = leaf.disturbance_center, leaf.disturbance_spread
-        found.append((before, period.action, steps, period.kept, period.radius, forces))
+        found.append((before, period.seen, period.action, steps, period.kept, period.radius, forces))
         last = period.steps[-1].end
         # what of the period before is left in its next set
         before = (before[0], before[1], last, period.kept, period.radius, period.action)
@@ -95,6 +95,8 @@ def false_in_period(question: Question, leaf: Leaf, number: int, tracked: Affine
     generator = np.random.default_rng([question.seed, number])
     states = Affine(tracked.center[: layout.states], tracked.rows[:, : layout.states], tracked.own, tracked.box)
     with np.errstate(all="ignore"):
+        if period.seen is not None and _false_observation(question, states, period.seen, generator):
+            return f"period {number}: an observation is not in the claimed set"
         if _false_action(question, states, period, generator):
             return f"period {number}: an action is not in the claimed set"
         joint = _joint(question, leaf, period, tracked)
@@ -149,6 +151,16 @@ def _dropped_too_much(rows: Array, kept: Sequence[int], box: Array, room: Sequen
     """Sums of the dropped rows and the box, in rationals."""
     dropped = [row.tolist() for i, row in enumerate(rows) if i not in set(kept)]
     return any(sum((abs(F(row[i])) for row in dropped), F(float(r))) > F(room[i]) for i, r in enumerate(box))
+
+
+def _false_observation(question: Question, states: Affine, seen: SetClaim, generator: Any) -> bool:
+    """What the policy sees without perturbation, against the claimed rows of the same factors."""
+    claim = Affine.of(seen.center, seen.rows, seen.fresh, seen.radius)
+
+    def prove(factors: list[F]) -> Any:
+        return evaluate(question.observe, [ball(x) for x in exact_point(states, factors)])
+
+    return judge(claim, states, lambda points: observe(question.loop, points), prove, generator, len(states.rows))
 
 
 def _false_action(question: Question, states: Affine, period: PeriodClaim, generator: Any) -> bool:

@@ -43,7 +43,7 @@ def _swapped_claims(leaf: Leaf, generator: Any) -> Leaf | None:
     """Only the actions, or only the ends, of two periods."""
     first, second = sorted(generator.integers(0, len(leaf.periods), 2).tolist())
     one, two = leaf.periods[first], leaf.periods[second]
-    part = str(generator.choice(["action", "steps", "radius", "lines", "points"]))
+    part = str(generator.choice(["seen", "action", "steps", "radius", "lines", "points"]))
     if first == second:
         return None
     changed = _with_period(leaf, first, replace(one, **{part: getattr(two, part)}))
@@ -170,7 +170,8 @@ def _dropped(leaf: Leaf, generator: Any) -> Leaf | None:
         for step in last.steps
     )
     action = replace(last.action, rows=less(last.action.rows))
-    after = replace(last, observation=moved(last.observation), action=action, steps=steps)
+    seen = None if last.seen is None else replace(last.seen, rows=less(last.seen.rows))
+    after = replace(last, observation=moved(last.observation), seen=seen, action=action, steps=steps)
     periods = (*leaf.periods[:-2], replace(before, kept=less(before.kept)), after)
     return replace(leaf, periods=periods)
 

@@ -140,7 +140,7 @@ def case_of(number: int, subject: str = "", **given: Any) -> Case:
         Decides everything that `given` does not name, in digits of different lengths, so that all pairs come up.
     subject : str, optional
     given : optional
-        ``kind``, ``precision``, ``periods``, ``requirements``, ``tight``, and fields of Options.
+        ``kind``, ``precision``, ``periods``, ``requirements``, ``tight``, ``wide``, and fields of Options.
     """
     generator = np.random.default_rng(number)
     names = list(SUBJECTS)
@@ -150,26 +150,28 @@ def case_of(number: int, subject: str = "", **given: Any) -> Case:
     periods = given.pop("periods", 2 + number % (2 if len(plant.start) > 4 else 4))
     # onnxruntime has no LeakyRelu for float64
     precision = given.pop("precision", "float64" if number % 11 == 3 and kind != "leaky_relu" else "float32")
-    tight, wanted = given.pop("tight", 0.0), given.pop("requirements", None)
+    tight, wanted, wide = given.pop("tight", 0.0), given.pop("requirements", None), given.pop("wide", 1.0)
     view = generator.choice(["", "expressions", "reversed"], p=[0.4, 0.4, 0.2])
     views = plant.views if view == "expressions" else len(plant.start)
-    wide = [6] if number % 3 else [5, 4]
+    hidden = [6] if number % 3 else [5, 4]
     last = ("none", "tanh", "none", "clip", "sigmoid")[number % 5]
-    sizes = [views, *wide, len(plant.inputs)]
-    layers = network(sizes, [kind] * len(wide) + [last], number, plant.scale, precision).layers
+    sizes = [views, *hidden, len(plant.inputs)]
+    layers = network(sizes, [kind] * len(hidden) + [last], number, plant.scale, precision).layers
     method = given.pop("method", "linearization" if number % 5 == 4 and not plant.discrete else "jets")
     options = {"method": method, "deployed": given.pop("deployed", number % 4 != 1), "splits": 1}
     if number % 7 == 2:
         options |= {"taylor_order": 3, "remainder_share": 0.002}  # several steps per period
     options |= given
-    head = "\n".join(_head(plant, periods, view, views, number, generator))
+    head = "\n".join(_head(plant, periods, view, views, number, wide, generator))
     policy = policy_bytes(layers, precision=precision)
     asked = _placed(plant, periods, head, policy, Options(**options), number, generator, tight, wanted)
     label = f"{number}-{name}-{kind}-{method}" + ("" if options["deployed"] else "-real")
     return Case(label, policy, (head + "\n" + asked).encode(), Options(**options))
 
 
-def _head(plant: Subject, periods: int, view: str, views: int, number: int, generator: Any) -> Iterator[str]:
+def _head(
+    plant: Subject, periods: int, view: str, views: int, number: int, wide: float, generator: Any
+) -> Iterator[str]:
     """Lines of the specification without what is asked for."""
     yield f"setrl: 1\nplant: {plant.text}\ncontroller:\n  period: {plant.period}"
     observed = {"expressions": plant.seen, "reversed": "[" + ", ".join([*plant.start][::-1]) + "]"}.get(view)
@@ -191,7 +193,7 @@ def _head(plant: Subject, periods: int, view: str, views: int, number: int, gene
     yield f"horizon: {length:.10g}"
     sides = []
     for position, (state, middle) in enumerate(plant.start.items()):
-        half = 0.0 if position == number % 5 else (0.02, 0.05, 0.1)[number % 3] * generator.uniform(0.3, 1)
+        half = 0.0 if position == number % 5 else wide * (0.02, 0.05, 0.1)[number % 3] * generator.uniform(0.3, 1)
         sides.append(f"{state}: [{middle - half:.4f}, {middle + half:.4f}]" if half else f"{state}: {middle}")
     yield f"initial: {{{', '.join(sides)}}}"
     noise = ["0", "0.02", "0.005"][number % 3]

@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
-import certificate_streams
 import pytest
 from certificate_corruptions import Corruption, corruptions
 from certificate_oracle import falsity
-from certificate_streams import Certificate, opened, reading_once
+from certificate_streams import Certificate, opened, reading_once, sealed
 from certificate_trajectories import Question
 from certificates import Case, case_of
 
@@ -107,7 +106,7 @@ def tried(number: int, given: dict[str, Any], count: int, judged: int) -> Tally:
     """Corrupt the certificate of one case; every `judged`-th rejected one is judged too."""
     case, tally = case_of(number, **given), Tally()
     base = opened(case.certificate, case.policy, case.specification)
-    assert certificate_streams.sealed(base.header, base.streams) == case.certificate
+    assert sealed(base.header, base.streams) == case.certificate
     assert isinstance(check(case.certificate, case.policy, case.specification, workers=1), Accepted)
     for position, corruption in enumerate(corruptions(base, count, number)):
         started = time.process_time()
@@ -148,4 +147,16 @@ def test_corrupted_certificates_that_are_accepted_are_true(number: int, given: d
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "given"), [*SMALL, *LARGE])
 def test_twenty_thousand_corrupted_certificates(number: int, given: dict[str, Any]) -> None:
-    concluded(tried(number, given, 600, 5), 600)
+    concluded(tried(number, given, 640, 6), 640)
+
+
+def test_weights_that_cancel_the_facets_prove_nothing() -> None:
+    case = case_of(21)
+    base = opened(case.certificate, case.policy, case.specification)
+    writer = base.writer(base.leaves[0])
+    weights = [
+        1.0 if label == "separating weights" else x for x, (label, _) in zip(writer.floats, writer.labels, strict=True)
+    ]
+    assert weights != writer.floats
+    answer = check(sealed(base.header, [(weights, writer.integers)]), case.policy, case.specification, workers=1)
+    assert "avoid" in str(answer) and "positive" in str(answer)

@@ -47,6 +47,8 @@ class Between:
     def least(self, direction: Sequence[Any]) -> Any:
         """A ball whose lower end is not above ``min direction . z`` over the set."""
         used = [i for i, entry in enumerate(direction) if not entry.is_zero()]
+        if not used:  # weights that cancel the facets
+            return arb(0)
         start = self.start
         along = combine([direction[i] for i in used], [self.jacobian[i] for i in used])
         middle = sum((direction[i] * self.center[i] for i in used), arb(0))
