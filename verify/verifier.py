@@ -32,7 +32,7 @@ from .checker.witness import Proof, Witness, prove, record
 from .closed_loop import Engine
 from .contradiction import require_no_contradiction
 from .deadline import Deadline
-from .falsifier import Candidate, propose
+from .falsifier import Candidate, propose, propose_all
 from .model import initial_box, observation_radius, prepare
 from .options import Options
 from .reason import explain
@@ -170,24 +170,23 @@ def verify_radii(
     loops = tuple(bind(contract, network, plant, radius) for radius in radii)
     deadline = deadline or Deadline.after(options.timeout)
     loaded = time.perf_counter()
-    job = _Job(loops, options)
-    found, candidates = _explore(job, deadline, progress)
+    job, files = _Job(loops, options), _files(loops[0], plant)
+    found, doubts = _explore(job, files, deadline, progress)
     refused = [_ill_conditioned(job, found, problem) for problem in range(len(loops))]
     # what is proved with e_L added is proved without; only the rest of a refused network is worth a second run
     unproved = [bool(found.cells_of(problem, FAILED).size) for problem in range(len(loops))]
     if options.deployed and any(np.logical_and(refused, unproved)) and not deadline.expired:
         # decided for exact arithmetic all the same, for every radius alike
         job = _Job(loops, replace(options, deployed=False))
-        exact, exact_candidates = _explore(job, deadline, progress)
+        exact, exact_doubts = _explore(job, files, deadline, progress)
     else:
-        exact, exact_candidates = found, candidates
+        exact, exact_doubts = found, doubts
     finished = time.perf_counter()
     timings = {"load": loaded - started, "reachability": finished - loaded}
-    files = _files(loops[0], plant)
     results = []
     for problem, loop in enumerate(loops):
         again = refused[problem] and unproved[problem]
-        chosen, some = (exact, exact_candidates) if again else (found, candidates)
+        chosen, some = (exact, exact_doubts) if again else (found, doubts)
         semantics = ["real"]
         notes = []
         if options.deployed and not refused[problem]:
@@ -198,16 +197,18 @@ def verify_radii(
                 f"{loop.policy.precision} execution is not covered: its error bound is {refused[problem]:.2g} of the "
                 f"action range, more than {ILL_CONDITIONED:.0%}; rescale the network's weights"
             )
-        candidate, witness = some.get(problem), None
-        if candidate is not None:
-            before = time.perf_counter()
-            witness, objection = _witnessed(loop, candidate, files, len(semantics) > 1, deadline)
-            if witness is None:
-                notes.append(f"the violation that a simulation shows is not proved: {objection}")
-            elif objection:
-                notes.append(f"the violation is not proved for the deployed network: {objection}")
-            timings = {**timings, "witness": time.perf_counter() - before}
-        result = _result(job, chosen, problem, candidate, witness, tuple(semantics), tuple(notes), timings)
+        doubt = some.get(problem)
+        # positive polarity: every leaf of the cover was proved, and there is a cover
+        leaves = chosen.cells_of(problem, PROVED, FAILED)
+        everything = leaves.size > 0 and bool((chosen.status[leaves] == PROVED).all())
+        if everything and (doubt is None or doubt.witness is None):
+            doubt = None  # a simulation that touches the boundary, which no trajectory crosses
+        if doubt is not None and doubt.objection:
+            what = (
+                "is not proved for the deployed network" if doubt.witness else "that a simulation shows is not proved"
+            )
+            notes.append(f"the violation {what}: {doubt.objection}")
+        result = _result(job, chosen, problem, everything, doubt, tuple(semantics), tuple(notes), timings)
         if result.verdict is Verdict.CLAIMED:
             watch = getattr(progress, "checking", None)
             result = _certified(result, job, chosen, problem, files, check, workers, deadline, watch)
@@ -278,23 +279,48 @@ def _certified(
     return replace(result, verdict=Verdict.UNKNOWN, reason=reason, timings=timings)
 
 
-def _explore(job: _Job, deadline: Deadline, progress: Progress | None) -> tuple[Exploration, dict[int, Candidate]]:
+@dataclass(frozen=True)
+class _Doubt:
+    """A simulated violation, the witness that the checker made of it, and what is not proved."""
+
+    candidate: Candidate
+    witness: ProvedWitness | None
+    objection: str
+
+
+def _explore(
+    job: _Job, files: _Files | str, deadline: Deadline, progress: Progress | None
+) -> tuple[Exploration, dict[int, _Doubt]]:
     model = prepare(job.loops[0])
     initial = InitialSet.of(*initial_box(model.loop))
     engine = Engine(model, job.options, initial.free.size + model.constant.size)
-    candidates: dict[int, Candidate] = {}
+    doubts: dict[int, _Doubt] = {}
 
     def doubt(problem: int, factors: Array) -> bool:
+        """Whether to give up: where a violation is proved, or is all that can be said."""
+        loop = job.loops[problem]
         states = np.tile(initial.center, (len(factors), 1))
         states[:, initial.free] += factors * initial.radius[initial.free]
         low, high = (np.array([float(b[side]) for b in model.loop.initial]) for side in (0, 1))
-        candidate = propose(job.loops[problem], np.clip(states, low, high), stop=lambda: deadline.expired)
-        if candidate is not None:
-            candidates[problem] = candidate
-        return candidate is not None
+        extremes = np.clip(states, low, high)
+        candidate = propose(loop, extremes, stop=lambda: deadline.expired)
+        if candidate is None:
+            return False
+        doubts[problem] = _doubt(loop, candidate, files, job.options.deployed, deadline)
+        if doubts[problem].witness is None and not isinstance(files, str):
+            for other in propose_all(loop, extremes, stop=lambda: deadline.expired):
+                again = _doubt(loop, other, files, job.options.deployed, deadline)
+                if again.witness is not None:
+                    doubts[problem] = again
+                    break
+        return doubts[problem].witness is not None or isinstance(files, str)
 
     radii = np.stack([observation_radius(loop) for loop in job.loops])
-    return explore(engine, radii, deadline, progress, doubt), candidates
+    return explore(engine, radii, deadline, progress, doubt), doubts
+
+
+def _doubt(loop: ClosedLoop, candidate: Candidate, files: _Files | str, deployed: bool, deadline: Deadline) -> _Doubt:
+    return _Doubt(candidate, *_witnessed(loop, candidate, files, deployed, deadline))
 
 
 def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
@@ -343,17 +369,17 @@ def _result(
     job: _Job,
     found: Exploration,
     problem: int,
-    candidate: Candidate | None,
-    witness: ProvedWitness | None,
+    verified: bool,
+    doubt: _Doubt | None,
     semantics: tuple[str, ...],
     notes: tuple[str, ...],
     timings: dict[str, float],
 ) -> Result:
     loop = job.loops[problem]
     leaves = found.cells_of(problem, PROVED, FAILED)
-    # positive polarity: every leaf of the cover was proved, and there is a cover
-    everything = leaves.size > 0 and bool((found.status[leaves] == PROVED).all())
-    verified = everything and candidate is None
+    candidate, witness = (None, None) if doubt is None else (doubt.candidate, doubt.witness)
+    if verified and witness is not None:
+        raise AssertionError(f"the engine proved every cell, and the checker a violation: {witness.sentence}")
     verdict = Verdict.CLAIMED if verified else Verdict.FALSIFIED if witness is not None else Verdict.UNKNOWN
     reason = None if verified else explain(loop, job.options, found, problem, candidate)
     if reason is not None and witness is not None:
