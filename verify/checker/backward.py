@@ -9,9 +9,8 @@ a- = min(a, 0), row by row,
 
     a y + b >= (a+ m + a- M) x + b + a+ c + a- C      for y = f(x), and <= with the lines exchanged,
 
-and so on, layer by layer, to the observation. The ranges come about in the same way, from the layers before, and a
-layer's lines are used only after they were proved on its ranges. No reference is needed to believe it; the method is
-the one of [1]_.
+and so on, layer by layer, to the observation [1]_. The ranges come about in the same way, from the layers before, and a
+layer's lines are used only after they were proved on its ranges.
 
 References
 ----------
