@@ -201,3 +201,13 @@ def test_vectorised_functions_agree_with_scalar_ones_within_the_assumed_error() 
     for function, _, _, _ in FUNCTIONS.values():
         together, alone = function(x), np.array([function(v) for v in x])
         assert (np.abs(together - alone) <= 4 * 2.0**-52 * np.abs(alone)).all()
+
+
+def test_an_argument_without_a_bound_has_no_value() -> None:
+    """log is not defined on all of [-0.1, 0.3], and neither are tanh(log x) and sin(log x), bounded as they look."""
+    unknown = balls.log(balls.Ball(np.array([0.1, 2.0]), np.array([0.2, 0.5])))
+    assert np.isinf(unknown.rad[0]) and np.isfinite(unknown.rad[1])
+    for result in (balls.tanh(unknown), *balls.sincos(unknown), balls.exp(balls.negate(unknown))):
+        assert np.isinf(result.rad[0]) and np.isfinite(result.rad[1])
+    wide = balls.Ball(np.array([1.0]), np.array([50.0]))
+    assert all(result.magnitude[0] <= 1.0 + 1e-12 for result in balls.sincos(wide))
