@@ -14,7 +14,6 @@ import pytest
 from certificates import Case, case_of, digest_of
 
 from setrl.verify.checker.certificate import Accepted, check
-from setrl.verify.checker.certificate_file import read_certificate
 from setrl.verify.checker.contract import read_contract
 from setrl.verify.checker.network import read_network
 from setrl.verify.result import Verdict
@@ -100,8 +99,7 @@ def features(number: int) -> set[str]:
     """What is special about a case, read off the files by the checker's own readers."""
     case = case_of(number)
     contract, network = read_contract(case.specification), read_network(case.policy)
-    header = read_certificate(case.certificate).header
-    found = {case.name.split("-")[1], network.precision, header.method}
+    found = {case.name.split("-")[1], network.precision, case.options.method}
     found |= {getattr(layer, "kind", "affine") for layer in network.layers}
     found |= {requirement.kind for requirement in contract.requirements}
     found |= {"union" for requirement in contract.requirements if len(requirement.region) > 1}
@@ -118,8 +116,8 @@ def features(number: int) -> set[str]:
         "noise per component": len(set(contract.radius)) > 1,
         "fixed": any(low == high for low, high in contract.initial),
         "discrete": contract.plant.discrete,
-        "real only": len(header.semantics) == 1,
-        "deployed": len(header.semantics) == 2,
+        "real only": not case.options.deployed,
+        "deployed": case.options.deployed,
         "reward": contract.reward is not None,
         "penalty": contract.reward is not None and bool(contract.reward.region),
         "observes functions": any(type(entry).__name__ != "Name" for entry in contract.observe),
