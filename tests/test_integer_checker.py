@@ -9,7 +9,7 @@ import math
 import struct
 import sys
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
@@ -28,8 +28,12 @@ from setrl.specs.errors import InputError
 from setrl.specs.reader import find_specification
 from setrl.verify.checker.certificate import Accepted, check
 from setrl.verify.checker.certificate_file import MAGIC, canonical, read_certificate
+from setrl.verify.checker.integers.action import check_action
 from setrl.verify.checker.integers.check import IntegerAnswer, check_links_and_network, prepare
-from setrl.verify.checker.leaf import read_leaf
+from setrl.verify.checker.integers.cover import cells
+from setrl.verify.checker.integers.sets import Tracked, require_room
+from setrl.verify.checker.leaf import ActionClaim, read_leaf
+from setrl.verify.checker.rejection import Rejected
 from setrl.verify.options import Options
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,7 +84,7 @@ def plain_case(number: int) -> Case:
     matrix = [[1.1 if i == j else 0.3 for j in range(inputs)] for i in range(inputs)]
     lines += [f"  after: {{matrix: {matrix}, offset: 0.07}}"] if number % 4 > 1 else []
     lines += ["  clip: [-0.4, 0.35]"] if number % 3 == 1 else []
-    lines += [f"  delay: {1 + number % 2}"] if number % 6 == 4 else []
+    lines += [f"  delay: {1 + number // 6 % 2}"] if number % 6 == 4 else []
     lines += [f"horizon: {4 if '+' in plant else 0.4}", f"initial: {json.dumps(start)}".replace('"', "")]
     noise = ("0", "0.01", f"{{{next(iter(start))}: 0.02}}")[number // 2 % 3]
     lines += [f"perturbation: {{observation: {noise}" + (f", disturbance: {force}" if force else "") + "}"]
@@ -132,6 +136,14 @@ NARROWER = ("19-clip", "25-relu")
 """All actions are at a bound of the clip that is no float: the claimed row of the clip is larger than what it stands
 for, and the first checker charges the difference."""
 BUILT = built()
+AT_THE_CLIP = Case(
+    "at the clip",
+    policy_bytes((Affine(np.ones((1, 1)), np.zeros(1)),)),
+    b"setrl: 1\nplant: {states: {x: m}, inputs: {u: m}, dynamics: {'x+': x/2 - u/4}}\n"
+    b"controller: {period: 1, clip: [-1, 0.5]}\nhorizon: 2\ninitial: {x: [0, 0.5]}\n"
+    b"requirements: [{stay: {x: [-9, 9]}}]\n",
+)
+"""Exact actions end where the clip begins: only the runtime's are clipped."""
 CASES = [plain_case(number) for number in range(36)]
 
 
@@ -160,7 +172,7 @@ def shared(reason: str) -> bool:
     return any(text in reason for text in SHARED)
 
 
-@pytest.mark.parametrize("case", [*CASES, BUILT], ids=str)
+@pytest.mark.parametrize("case", [*CASES, BUILT, AT_THE_CLIP], ids=str)
 def test_an_honest_certificate_is_accepted(case: Case) -> None:
     first, second = verdicts(case, case.certificate)
     assert not shared(first) or case.name in NARROWER
@@ -182,6 +194,28 @@ def test_periods_with_a_nonlinear_observation_are_counted_as_not_covered() -> No
     assert all(answer.accepted for answer in found)
     assert any(answer.uncovered > 0 == answer.periods for answer in found)
     assert any(answer.periods > 0 == answer.uncovered for answer in found)
+
+
+def test_what_only_the_runtime_clips_needs_room_too() -> None:
+    """The slope 1 and rows of the tracked set itself: exact below the clip, not for an action that is rounded up."""
+    given, file, room = AT_THE_CLIP.specification, read_certificate(AT_THE_CLIP.certificate), []
+    for text in (given.replace(b"clip: [-1, 0.5]", b"clip: [-1, 9]"), given):
+        header = replace(file.header, specification=hashlib.sha256(text).hexdigest())
+        setting = prepare(header, AT_THE_CLIP.policy, text, None)
+        leaf = read_leaf(setting.layout, *file.streams(0))
+        tracked = Tracked(leaf.center, leaf.rows, leaf.radius).in_rows()
+        box = 1e-9
+        while True:
+            action = ActionClaim(tracked.center, tuple(tracked.rows), (), (), (box,))
+            claim = replace(leaf.periods[0], clip_slopes=(1.0,), action=action)
+            try:
+                check_action(setting.policy, tracked, claim, "here")
+                break
+            except Rejected:
+                box *= 1.01
+        room.append(box)
+    free, clipped = room
+    assert 1.9 * free < clipped < 2.1 * free
 
 
 class Placed(float):
@@ -254,7 +288,7 @@ def agree(case: Case, certificate: bytes, what: str) -> bool:
     return common
 
 
-DAMAGED = [CASES[number] for number in (1, 3, 10, 11, 13)]
+DAMAGED = [CASES[number] for number in (1, 3, 10, 11, 13)] + [AT_THE_CLIP]
 STEPS = plain_case(20)
 DAMAGES: dict[str, tuple[str, Callable[[float], float]]] = {
     "a slope": ("leaf.periods.lines.slopes", lambda x: x + 0.25),
@@ -349,16 +383,40 @@ HEADERS: dict[str, Callable[[dict[str, Any]], None]] = {
     "another plant": lambda data: data.update(plant="0" * 64),
     "a smaller error of the runtime": lambda data: data["runtime"].update(error="1/3000000"),
     "a runtime of another precision": lambda data: data.update(semantics=["real", "float64"]),
-    "too many radii": lambda data: data.update(observation_radius=["0"] * 9),
-    "a negative radius": lambda data: data.update(observation_radius=["-1", "0"]),
-    "a larger radius": lambda data: data.update(observation_radius=["1/10", "1/10"]),
     "one leaf less in the tree": lambda data: data["tree"].pop(),
     "one leaf more in the tree": lambda data: data["tree"].append(None),
     "a moved cut": lambda data: move(data, "1/1000"),
     "a cut outside": lambda data: move(data, "1000"),
+    "a cut below": lambda data: move(data, "-1000"),
     "a cut of no state": lambda data: data["tree"][0].__setitem__(0, 7),
     "a cut of a negative state": lambda data: data["tree"][0].__setitem__(0, -1),
 }
+
+
+def test_the_cells_of_a_tree_cover_the_root() -> None:
+    root = ((Fraction(0), Fraction(1)), (Fraction(-1), Fraction(3)))
+    cut = (0, Fraction(1, 3)), (1, Fraction(3))
+    low, high, flat = cells((cut[0], None, cut[1], None, None), root)
+    assert low == [(0, Fraction(1, 3)), root[1]]
+    assert high == [(Fraction(1, 3), 1), root[1]] and flat == [(Fraction(1, 3), 1), (3, 3)]
+    for tree, complaint in (
+        ([(0, Fraction(2)), None, None], "outside"),
+        ([(0, Fraction(-1)), None, None], "outside"),
+        ([(2, Fraction(0)), None, None], "no state"),
+        ([(-1, Fraction(0)), None, None], "no state"),
+        ([(0, Fraction(1, 2)), None], "early"),
+        ([], "early"),
+        ([None, None], "too many"),
+    ):
+        with pytest.raises(Rejected, match=complaint):
+            cells(tree, root)
+
+
+def test_what_is_dropped_needs_room_and_no_negative_one_is_lent() -> None:
+    require_room([(1.0, -2.0), (0.125, 0.0)], (0.0, 0.5), (1.125, 2.5), "here")
+    for radius, room in (((0.0, 0.5), (1.125, 2.4)), ((0.0, -0.5), (1.2, 3.0)), ((2.0**-60, 0.5), (1.125, 2.5))):
+        with pytest.raises(Rejected, match="here"):
+            require_room([(1.0, -2.0), (0.125, 0.0)], radius, room, "here")
 
 
 def move(data: dict[str, Any], distance: str) -> None:
@@ -371,6 +429,17 @@ def test_a_header_about_something_else_is_rejected(name: str) -> None:
     case = case_of(0, tight=0.7, splits=64, method="jets", deployed=True)
     first, second = verdicts(case, resealed(case.certificate, header=HEADERS[name]))
     assert first and not second.accepted, (first, second)
+
+
+@pytest.mark.parametrize(
+    ("radii", "complaint"),
+    [(["0"], "radii"), (["0"] * 5, "radii"), (["0", "0", "0", "-1/2"], "radii"), (["1/10"] * 4, "set of actions")],
+)
+def test_other_radii_of_the_observation_are_rejected(radii: list[str], complaint: str) -> None:
+    case = CASES[1]
+    changed = resealed(case.certificate, header=lambda data: data.update(observation_radius=radii))
+    first, second = verdicts(case, changed)
+    assert first and not second.accepted and complaint in second.reason, (first, second)
 
 
 def verified(policy: Path, name: str) -> tuple[str, IntegerAnswer]:

@@ -87,6 +87,13 @@ def test_an_enclosure_contains_the_value_and_is_a_few_units_wide(name: str, bits
             assert high - low <= 2, (name, n, bits)
 
 
+def test_log_two_is_enclosed() -> None:
+    for bits in range(30, 400, 7):
+        low, high = elementary.log_two(bits)
+        with ctx.workprec(3 * bits):
+            assert bool(at(low, bits) < arb(2).log()) and bool(arb(2).log() < at(high, bits)) and high - low < bits
+
+
 def test_logarithms_of_floats_of_any_size_are_enclosed() -> None:
     generator = np.random.default_rng(3)
     floats = np.ldexp(generator.uniform(0.5, 1.0, 300), generator.integers(-1073, 1024, 300)).tolist()
@@ -106,6 +113,7 @@ def test_fixed_point_roundings_are_the_nearest_ones_outward() -> None:
         factor = Factor.of(x)
         least, most = (Fraction(factor.n + more, 1 << factor.scale) for more in (0, factor.loose))
         assert least <= exact <= most and (factor.loose or least == exact)
+        assert abs(exact) <= Fraction(factor.absolute, 1 << factor.scale)
         assert most - least <= abs(exact) * Fraction(1, 1 << 190)
         inside = factor.times((-3, 1 << 70))
         for end in (-3, 1 << 70):
@@ -159,17 +167,18 @@ def value_of(form: Form, signs: dict[tuple[int, int], Fraction], bits: int) -> l
     return result
 
 
-def exact(floats: Any, share: Any) -> list[Any]:
-    return [type(share)(float(x)) * share for x in floats]
+def coarse(floats: Any, generator: Any, loose: int) -> tuple[list[Factor], list[Fraction]]:
+    """Factors of few bits, and exact numbers that they stand for; with `loose` anywhere within one unit above."""
+    factors = [Factor(int(x * 2**8), 8, loose) for x in floats]
+    return factors, [Fraction(f.n, 1 << 8) + loose * Fraction(float(generator.uniform())) / (1 << 8) for f in factors]
 
 
-@pytest.mark.parametrize("kind", ["dense", "dense in rationals", "diagonal", "diagonal in rationals", "select", "line"])
+@pytest.mark.parametrize("kind", ["dense", "dense loosely", "diagonal", "diagonal loosely", "select", "line"])
 def test_operations_on_forms_enclose_the_exact_result_for_every_factor(kind: str) -> None:
     bits = 40
-    for seed in range(60):
+    for seed in range(80):
         generator = np.random.default_rng(seed)
         size, outputs = 3, 4
-        share = Fraction(1, 3) if "rationals" in kind else 1.0
         whole_ = generator.integers(-(1 << 41), 1 << 41, (5, size)).tolist()
         form = Form(whole_[0], [abs(x) >> 20 for x in whole_[1]], {(-1, 0): whole_[2], (-1, 1): whole_[3]}, None)
         form.fresh = 2, 0, [abs(x) for x in whole_[4]]
@@ -182,21 +191,24 @@ def test_operations_on_forms_enclose_the_exact_result_for_every_factor(kind: str
             x[i] += (
                 Fraction(whole_[3][i], 1 << bits) * signs[-1, 1] + Fraction(abs(whole_[4][i]), 1 << bits) * signs[2, i]
             )
-        spread = form.spread()
-        assert all(abs(a - c) * (1 << bits) <= s for a, c, s in zip(x, center, spread, strict=True))
-        bias = exact(generator.normal(size=outputs if "dense" in kind else size), share)
-        offset = [(floor_at(b, bits), ceil_at(b, bits)) for b in bias]
+        spread = [sum(abs(row[i]) for row in whole_[2:]) + error for i, error in enumerate(form.error)]
+        assert form.spread() == spread
+        loose = int("loosely" in kind)
+        offset = [
+            (int(b), int(b) + int(generator.integers(0, 1 << 30))) for b in generator.integers(-(1 << 41), 1 << 41, 4)
+        ]
+        bias = [Fraction(int(generator.integers(low, high + 1)), 1 << bits) for low, high in offset]
         if "dense" in kind:
-            weights = [exact(row, share) for row in generator.normal(size=(outputs, size))]
-            form.multiply(Matrix.of(weights), offset)
+            table = [coarse(row, generator, loose) for row in generator.normal(size=(outputs, size))]
+            rows, absolute = ([[f.n for f in fs] for fs, _ in table], [[f.absolute for f in fs] for fs, _ in table])
+            form.multiply(Matrix(rows, 8, [[1] * size] * outputs if loose else None, absolute), offset)
             expected = [
-                sum((Fraction(w) * a for w, a in zip(row, x, strict=True)), Fraction(b))
-                for row, b in zip(weights, bias, strict=True)
+                sum((w * a for w, a in zip(row, x, strict=True)), b) for (_, row), b in zip(table, bias, strict=True)
             ]
         elif "diagonal" in kind:
-            weights = exact(generator.normal(size=size), share)
-            form.scale([Factor.of(w) for w in weights], offset)
-            expected = [Fraction(w) * a + Fraction(b) for w, a, b in zip(weights, x, bias, strict=True)]
+            factors, weights = coarse(generator.normal(size=size), generator, loose)
+            form.scale(factors, offset[:size])
+            expected = [w * a + b for w, a, b in zip(weights, x, bias[:size], strict=True)]
         elif kind == "select":
             form.select((2, 0, 2, 1))
             expected = [x[2], x[0], x[2], x[1]]
@@ -266,3 +278,14 @@ def test_what_a_runtime_cannot_hold_has_no_bound() -> None:
     with pytest.raises(Rejected, match="no error bound"):
         runtime.growth(2**23)
     assert runtime.conversion(1e-40) > 0 and runtime.conversion(0.1) > 0 == runtime.conversion(0.5)
+
+
+def test_matrices_of_rationals_enclose_them() -> None:
+    table = [[0.5, Fraction(1, 3)], [Fraction(-2, 7), 5e-324], [Fraction(-3, 4), -1e300]]
+    matrix = Matrix.of(table)
+    assert matrix.loose == [[0, 1], [1, 0], [0, 0]]
+    for row, low, more, size in zip(table, matrix.rows, matrix.loose, matrix.absolute, strict=True):
+        for number, n, extra, most in zip(row, low, more, size, strict=True):
+            least, exact, unit = Fraction(n, 1 << matrix.scale), Fraction(number), Fraction(1, 1 << matrix.scale)
+            assert least <= exact <= least + extra * unit and abs(exact) <= most * unit
+    assert Matrix.of([[0.5, 3.0]]).loose is None

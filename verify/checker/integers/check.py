@@ -1,7 +1,8 @@
 """Whether a certificate's sets of actions, first sets and links are proved, by integers alone.
 
 `certificate.check` decides about a certificate. This second opinion covers the cover of the initial set, what follows
-from set to set without any flow, and the network of every period in which the policy sees plain states.
+from set to set without any flow, and the network of every period in which the policy sees plain states and is followed
+with one slope per neuron.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ class IntegerAnswer:
     periods : int
         Periods, of all leaves together, whose set of actions was proved.
     uncovered : int
-        Periods whose set of actions was not looked at, because the policy sees more than plain states.
+        Periods whose set of actions was not looked at: the policy sees more than plain states, or is followed with two
+        lines per neuron.
     """
 
     accepted: bool
@@ -112,7 +114,7 @@ def prepare(header: Header, policy: bytes, specification: bytes, folder: Path | 
         runtime = Runtime(network.precision, header.runtime[1])
         if header.semantics[1:] != (network.precision,) or not runtime.own >= MEASURED[network.precision]:
             raise Rejected("the certificate's semantics is not that of a runtime of the network")
-    layout = layout_of(contract, network, header.method)
+    layout = layout_of(contract, network, header.method, header.version)
     return Setting(contract, layout, Policy.of(contract, network, layout, runtime))
 
 

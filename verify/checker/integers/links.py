@@ -11,7 +11,7 @@ from fractions import Fraction
 
 from ..contract import Bounds, Contract
 from ..layout import Layout
-from ..leaf import Leaf, PeriodClaim, Row
+from ..leaf import PARALLEL, Leaf, PeriodClaim, Row
 from ..rejection import Rejected
 from .action import Policy, check_action
 from .cover import require_inside
@@ -40,8 +40,8 @@ def follow_leaf(setting: Setting, leaf: Leaf, cell: list[Bounds]) -> int:
     Returns
     -------
     int
-        Number of periods whose set of actions was proved: all of them, or 0 where the policy sees more than plain
-        states.
+        Number of periods whose set of actions was proved: those in which the policy sees plain states and is followed
+        with one slope per neuron.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def follow_leaf(setting: Setting, leaf: Leaf, cell: list[Bounds]) -> int:
     for number, period in enumerate(leaf.periods):
         what = f"period {number}"
         current = current.in_rows()
-        if layout.observed is not None:
+        if layout.observed is not None and period.form == PARALLEL:
             check_action(setting.policy, current, period, f"{what}: the set of actions")
             covered += 1
         _require_starts(layout, current, period, what)
