@@ -31,6 +31,7 @@ from setrl.verify.checker.certificate_file import MAGIC, canonical, read_certifi
 from setrl.verify.checker.integers.action import check_action
 from setrl.verify.checker.integers.check import IntegerAnswer, check_links_and_network, prepare
 from setrl.verify.checker.integers.cover import cells
+from setrl.verify.checker.integers.links import next_set
 from setrl.verify.checker.integers.sets import Tracked, require_room
 from setrl.verify.checker.leaf import ActionClaim, read_leaf
 from setrl.verify.checker.rejection import Rejected
@@ -216,6 +217,34 @@ def test_what_only_the_runtime_clips_needs_room_too() -> None:
         room.append(box)
     free, clipped = room
     assert 1.9 * free < clipped < 2.1 * free
+
+
+def test_a_queue_of_delayed_actions_moves_up_by_one() -> None:
+    case = CASES[10]
+    file = read_certificate(case.certificate)
+    setting = prepare(file.header, case.policy, case.specification, None)
+    layout, leaf = setting.layout, read_leaf(setting.layout, *file.streams(0))
+    assert (layout.delay, layout.inputs, len(layout.constant)) == (2, 1, 1)
+    current = Tracked(leaf.center, leaf.rows, leaf.radius).in_rows()
+    for period in leaf.periods[:-1]:
+        following = next_set(layout, current, period, "here")
+        held, first, second = layout.states, layout.states + 1, layout.states + 2
+        assert following.center[:held] == period.steps[-1].end.center
+        assert following.center[held] == current.center[held]
+        assert following.center[first] == current.center[second]
+        assert following.center[second] == period.action.center[0]
+        kept = period.kept or ()
+        for row, position in zip(following.rows, kept, strict=True):
+            if position < len(current.rows):
+                assert row[held:] == (*current.rows[position][held::2], period.action.rows[position][0])
+        current = following.in_rows()
+    assert any(row[layout.states + 1] for row in current.rows)
+
+
+def test_a_tree_of_more_cells_than_leaves_is_rejected() -> None:
+    tree = [[0, "29/10"], None, None]
+    first, second = verdicts(CASES[1], resealed(CASES[1].certificate, header=lambda data: data.update(tree=tree)))
+    assert "differ in number" in first and "differ in number" in second.reason
 
 
 class Placed(float):
@@ -433,7 +462,7 @@ def test_a_header_about_something_else_is_rejected(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("radii", "complaint"),
-    [(["0"], "radii"), (["0"] * 5, "radii"), (["0", "0", "0", "-1/2"], "radii"), (["1/10"] * 4, "set of actions")],
+    [(["0"], "radii"), (["0"] * 5, "radii"), (["0", "0", "0", "-1/2"], "radii"), (["1/10"] * 4, "neuron")],
 )
 def test_other_radii_of_the_observation_are_rejected(radii: list[str], complaint: str) -> None:
     case = CASES[1]

@@ -62,7 +62,7 @@ def follow_leaf(setting: Setting, leaf: Leaf, cell: list[Bounds]) -> int:
             covered += 1
         _require_starts(layout, current, period, what)
         if number + 1 < len(leaf.periods):
-            current = _link(layout, current, period, what)
+            current = next_set(layout, current, period, what)
     return covered
 
 
@@ -99,8 +99,28 @@ def _require_starts(layout: Layout, current: Tracked, period: PeriodClaim, what:
         require_room(dropped, before.radius, step.start_radius, f"{what}: the start of step {position}")
 
 
-def _link(layout: Layout, current: Tracked, period: PeriodClaim, what: str) -> Tracked:
-    """The next tracked set: end of the last step, constant disturbances, the queue of actions moved up by one."""
+def next_set(layout: Layout, current: Tracked, period: PeriodClaim, what: str) -> Tracked:
+    """The next tracked set: end of the last step, constant disturbances, the queue of actions moved up by one.
+
+    Parameters
+    ----------
+    layout : Layout
+    current : Tracked
+        The set at the start of the period, no boxed part.
+    period : PeriodClaim
+    what : str
+        Where, for the message.
+
+    Returns
+    -------
+    Tracked
+        With the claimed box.
+
+    Raises
+    ------
+    Rejected
+        The box has no room for what is left out.
+    """
     if period.kept is None or period.radius is None:
         raise Rejected(f"{what}: there is no link to the next set")
     end, inputs, delay = period.steps[-1].end, layout.inputs, layout.delay
