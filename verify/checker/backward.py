@@ -145,7 +145,7 @@ class Backward:
         return self._beyond(above, upper, claim), self._beyond(below, lower, claim)
 
     def _beyond(self, middle: Vector, side: _Side, claim: ActionClaim) -> Vector:
-        left = left_over(*self.seen.mapped(side.matrix), claim)
+        left = left_over(*self.seen.mapped(side.matrix), claim, one_sided=True)
         return [a + b for a, b in zip(middle, left, strict=True)]
 
     def _sides(self) -> tuple[_Side, _Side]:

@@ -184,7 +184,7 @@ class Forward:
         columns += _columns(NEURON, neurons)
         columns += _columns(CLIPPED, self.parts[len(neurons) :])
         middle = [abs(c - d) for c, d in zip(self.center, claim.center, strict=True)]
-        return ([a + b for a, b in zip(middle, left_over(shared, columns, claim), strict=True)],)
+        return ([a + b for a, b in zip(middle, left_over(shared, columns, claim, one_sided=False), strict=True)],)
 
 
 def _columns(kind: int, parts: Sequence[_Part]) -> list[Column]:

@@ -94,7 +94,7 @@ def observe(
     return Seen([arb(c) for c in claim.center], rows, count, [arb(r) for r in claim.radius], radius)
 
 
-def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: ActionClaim) -> Vector:
+def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: ActionClaim, one_sided: bool) -> Vector:
     """What the claimed rows leave of computed ones, per action: differences, and whole columns that are not kept.
 
     A claimed row that is like no computed one only makes the claimed set larger.
@@ -105,6 +105,9 @@ def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: Action
         Per action, one entry per row of the tracked set.
     columns : sequence of Column
     claim : ActionClaim
+    one_sided : bool
+        The functions are bounds of one side: then a claimed private row's factor is the computed one's, on both sides.
+        Else it may be a share of it, whichever leaves least.
 
     Returns
     -------
@@ -116,6 +119,17 @@ def left_over(shared: Sequence[Vector], columns: Sequence[Column], claim: Action
         needed.append(sum((abs(x - row[i]) for x, row in zip(mapped, claim.rows, strict=True)), arb(0)))
     for origin, column in columns:
         row = kept.get(origin)
-        for i, x in enumerate(column):
-            needed[i] += abs(x) if row is None else abs(x - row[i])
+        if row is not None:
+            share = arb(1.0 if one_sided else _share(column, row))
+            column = [x - share * claimed for x, claimed in zip(column, row, strict=True)]
+        needed = [need + abs(x) for need, x in zip(needed, column, strict=True)]
     return needed
+
+
+def _share(column: Vector, row: Sequence[float]) -> float:
+    """How much of a claimed row a column is, from -1 to 1; any such number is sound."""
+    largest = max(range(len(row)), key=lambda i: abs(row[i]))
+    if not row[largest]:
+        return 0.0
+    share = float(column[largest].mid()) / row[largest]
+    return min(max(share, -1.0), 1.0)
