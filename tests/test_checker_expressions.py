@@ -161,3 +161,10 @@ def test_affine_forms_agree() -> None:
         with pytest.raises(ExpressionError):
             checker.affine(checker.parse(text))
     assert checker.constant("1/3 - 2") == Fraction(-5, 3)
+
+
+@pytest.mark.parametrize("text", ["in", "x + if", "lambda"])
+def test_reserved_words_are_no_names(text: str) -> None:
+    for parse in (checker.parse, specs.parse_expression):
+        with pytest.raises(ExpressionError):
+            parse(text)

@@ -324,7 +324,7 @@ def test_the_picture_shows_the_violation_and_the_violating_part(tmp_path: Path) 
         figure = plot_witness(result.loop, result.candidate, witness)
         assert [axes.get_ylabel() for axes in figure.axes] == labels
         title, key = figure.get_suptitle(), [text.get_text() for text in figure.legends[0].get_texts()]
-        assert title.startswith(f"FALSIFIED: {witness.requirement} is ") and "proved (real)" in title
+        assert title.startswith(f"FALSIFIED: {witness.requirement} is ") and "proved (real" in title
         assert key[0] == "initial set" and key[2].endswith(" s")
         for axes in figure.axes:
             (mark,) = [line for line in axes.lines if line.get_marker() == "X"]

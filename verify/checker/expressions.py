@@ -10,6 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from keyword import iskeyword
 from typing import NoReturn, TypeAlias
 
 from ...specs.errors import ExpressionError
@@ -172,6 +173,8 @@ class _Parser:
             return self.node(Number(self.number()))
         if self.kind == "name":
             name = self.take()
+            if iskeyword(name):  # a word that other readers of the language cannot have as a name
+                self.fail()
             if name not in FUNCTIONS:
                 return self.node(Name(name))
             self.expect("(")
