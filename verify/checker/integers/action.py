@@ -1,10 +1,11 @@
 """The network obligation in integers: a claimed set of actions contains what the policy computes on a set of states.
 
-The policy's affine form depends on the set's own factors and on private ones: an observation's perturbation, what the
-slopes of the certificate leave of every activation, of the clip. Every private factor may be chosen freely in the
-claimed set, so that one with a claimed row of its own is matched with that row. What all matches leave, center by
-center and row by row, whole columns that have no row, rounding, and the deployed runtime's error have to fit into the
-box.
+Of a nonlinear observation it is the claimed set of observations that the policy is followed from; that this contains
+the image of the states is a flow's kind of obligation, and not in here. The policy's affine form depends on the set's
+own factors and on private ones: an observation's products, box and perturbation, what the slopes of the certificate
+leave of every activation, of the clip. Every private factor may be chosen freely in the claimed set, so that one with a
+claimed row of its own is matched with that row. What all matches leave, center by center and row by row, whole columns
+that have no row, rounding, and the deployed runtime's error have to fit into the box.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from typing import Any
 from ..contract import AffineMap, Contract
 from ..layers import Activation, Dense, Diagonal, Selection
 from ..layout import Layout
-from ..leaf import CLIPPED, NEURON, PERTURBATION, ActionClaim, Floats, Lines, PeriodClaim
+from ..leaf import BOX, CLIPPED, NEURON, PERTURBATION, PRODUCT, ActionClaim, Floats, Lines, PeriodClaim
 from ..network import Network
 from ..rejection import Rejected
 from .fixed import Factor, Interval, Vector, ceil_at, enclosure, floor_at, product_up
 from .forms import Form, Origin
 from .residuals import clip_residual, residual
 from .runtime import Runtime, Weights
-from .sets import Tracked
+from .sets import Tracked, unit
 
 BITS, MOST_BITS = 160, 1024
 """Places behind the binary point: `BITS` below the smallest of the observations' sizes, within `MOST_BITS`."""
@@ -74,7 +75,6 @@ def check_action(policy: Policy, tracked: Tracked, claim: PeriodClaim, what: str
     Parameters
     ----------
     policy : Policy
-        Of a layout whose observations are plain states.
     tracked : Tracked
     claim : PeriodClaim
     what : str
@@ -100,13 +100,10 @@ class _Walk:
 
     def __init__(self, policy: Policy, tracked: Tracked, claim: PeriodClaim) -> None:
         self.policy = policy
-        observed = policy.layout.observed
-        assert observed is not None
-        center = [tracked.center[i] for i in observed]
-        rows = [[row[i] for i in observed] for row in tracked.rows]
-        if len(claim.action.rows) != len(rows):
+        center, rows = _observed(policy.layout, tracked, claim)
+        if len(claim.action.rows) != len(tracked.rows):
             raise Rejected("the set of actions has not one row for every row of the tracked set")
-        self.bits = _places(center, rows, policy.radius)
+        self.bits = _places(center, list(rows.values()), policy.radius)
         self.form = self._seen(center, rows)
         self.error = [0] * len(center)
         self.size: Vector = []
@@ -114,13 +111,13 @@ class _Walk:
             self.size = self._size()
             self.error = policy.runtime.cast(self.size, self.bits)
 
-    def _seen(self, center: Sequence[float], rows: Sequence[Sequence[float]]) -> Form:
-        table = [[floor_at(x, self.bits) for x in numbers] for numbers in (center, *rows)]
-        exact = [[ceil_at(x, self.bits) for x in numbers] for numbers in (center, *rows)]
+    def _seen(self, center: Sequence[float], rows: dict[Origin, Sequence[float]]) -> Form:
+        table = [[floor_at(x, self.bits) for x in numbers] for numbers in (center, *rows.values())]
+        exact = [[ceil_at(x, self.bits) for x in numbers] for numbers in (center, *rows.values())]
         error = [0] * len(center)
         for low, high in zip(table, exact, strict=True):
             error = [e + b - a for e, a, b in zip(error, low, high, strict=True)]
-        columns: dict[Origin, Vector] = {(SHARED, j): row for j, row in enumerate(table[1:])}
+        columns: dict[Origin, Vector] = dict(zip(rows, table[1:], strict=True))
         noise = [ceil_at(radius, self.bits) for radius in self.policy.radius]
         return Form(table[0], error, columns, (PERTURBATION, 0, noise))
 
@@ -193,6 +190,21 @@ class _Walk:
         if runtime is not None:
             moved = [max(map(runtime.conversion, bound)) for bound in clip]
             self.error = [e + ceil_at(move, bits) for e, move in zip(self.error, moved, strict=True)]
+
+
+def _observed(layout: Layout, tracked: Tracked, claim: PeriodClaim) -> tuple[Floats, dict[Origin, Sequence[float]]]:
+    """Center and rows of what the policy sees: plain states, or the claimed image of another observation map."""
+    if layout.observed is not None:
+        rows = {(SHARED, j): [row[i] for i in layout.observed] for j, row in enumerate(tracked.rows)}
+        return tuple(tracked.center[i] for i in layout.observed), dict(rows)
+    seen = claim.seen
+    if seen is None or len(seen.rows) != len(tracked.rows):
+        raise Rejected("the set of observations has not one row for every row of the tracked set")
+    found: dict[Origin, Sequence[float]] = {(SHARED, j): row for j, row in enumerate(seen.rows)}
+    found.update({(PRODUCT, j): row for j, row in enumerate(seen.fresh)})
+    size = len(seen.center)
+    found.update({(BOX, i): unit(i, r, size) for i, r in enumerate(seen.radius) if r})
+    return seen.center, found
 
 
 def _places(center: Sequence[float], rows: Sequence[Sequence[float]], radius: Sequence[Fraction]) -> int:

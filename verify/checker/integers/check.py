@@ -1,8 +1,8 @@
 """Whether a certificate's sets of actions, first sets and links are proved, by integers alone.
 
 `certificate.check` decides about a certificate. This second opinion covers the cover of the initial set, what follows
-from set to set without any flow, and the network of every period in which the policy sees plain states and is followed
-with one slope per neuron.
+from set to set without any flow, and the network of every period in which it is followed with one slope per neuron.
+Of a nonlinear observation, the network is followed from the claimed set of observations.
 """
 
 from __future__ import annotations
@@ -41,8 +41,7 @@ class IntegerAnswer:
     periods : int
         Periods, of all leaves together, whose set of actions was proved.
     uncovered : int
-        Periods whose set of actions was not looked at: the policy sees more than plain states, or is followed with two
-        lines per neuron.
+        Periods whose set of actions was not looked at: the policy is followed with two lines per neuron.
     """
 
     accepted: bool

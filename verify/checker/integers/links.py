@@ -57,7 +57,7 @@ def follow_leaf(setting: Setting, leaf: Leaf, cell: list[Bounds]) -> int:
     for number, period in enumerate(leaf.periods):
         what = f"period {number}"
         current = current.in_rows()
-        if layout.observed is not None and period.form == PARALLEL:
+        if period.form == PARALLEL:
             check_action(setting.policy, current, period, f"{what}: the set of actions")
             covered += 1
         _require_starts(layout, current, period, what)
