@@ -17,11 +17,10 @@ from setrl.models.onnx_reader import read_policy
 from setrl.models.onnx_writer import write_policy
 from setrl.models.plant import load_plant
 from setrl.specs.reader import find_specification, read_specification
-from setrl.verify import verifier
 from setrl.verify.checker.witness import Proof, prove, read_witness
 from setrl.verify.contradiction import require_no_contradiction
 from setrl.verify.options import Options
-from setrl.verify.result import ProvedWitness, Verdict
+from setrl.verify.result import Verdict
 
 TEXT = """
 setrl: 1
