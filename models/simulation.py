@@ -61,7 +61,7 @@ def simulate(
     method: str = "DOP853",
     rtol: float = 1e-9,
     atol: float = 1e-11,
-    samples_per_period: int = 1,
+    samples_per_period: int | Sequence[float] = 1,
     policy: Callable[[FloatArray], FloatArray] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Trajectories:
@@ -78,8 +78,8 @@ def simulate(
         The middle of their bounds by default.
     method, rtol, atol
         Of `scipy.integrate.solve_ivp`; all trajectories are one stacked system. Discrete-time plants are iterated.
-    samples_per_period : int
-        States that are stored per period, evenly spaced.
+    samples_per_period : int or sequence of float
+        States that are stored per period, evenly spaced; or where, as increasing shares of a period, the last one 1.
     policy : callable, optional
         Runs instead of the own forward pass, for example `onnx_runtime.deployed_runner(loop.policy)`.
     stop : callable, optional
@@ -94,19 +94,19 @@ def simulate(
     size, inputs, observed = len(loop.plant.states), len(loop.plant.inputs), len(loop.observation_names)
     if start.shape != (count, size):
         raise UsageError(f"initial states of shape (N, {size}) are required, received {start.shape}")
-    if samples_per_period < 1:
-        raise UsageError(f"at least one sample per period is required, received {samples_per_period}")
-    if loop.plant.discrete and samples_per_period != 1:
+    shares = _shares(samples_per_period)
+    samples = len(shares)
+    if loop.plant.discrete and samples != 1:
         raise UsageError("a discrete-time plant has one sample per period")
     forces = _disturbances(loop, disturbances, count)
     network = loop.policy if policy is None else policy
-    stored = np.full((count, periods * samples_per_period + 1, size), np.nan)
+    stored = np.full((count, periods * samples + 1, size), np.nan)
     actions = np.full((count, periods, inputs), np.nan)
     observations = np.full((count, periods, observed), np.nan)
     noise = np.zeros((count, periods, observed))
     stored[:, 0] = state = start
     pending = [np.tile(_floats(loop.delayed_action), (count, 1)) for _ in range(loop.delay)]
-    advance = _map_step if loop.plant.discrete else _Integrator(method, rtol, atol, samples_per_period, stop)
+    advance = _map_step if loop.plant.discrete else _Integrator(method, rtol, atol, shares, stop)
     with np.errstate(all="ignore"):
         for k in range(periods):
             clean = observe(loop, state)
@@ -115,10 +115,16 @@ def simulate(
             pending.append(act(loop, observations[:, k], network))
             actions[:, k] = pending.pop(0)
             path = advance(loop, state, actions[:, k], forces[:, k])
-            stored[:, k * samples_per_period + 1 : (k + 1) * samples_per_period + 1] = path
+            stored[:, k * samples + 1 : (k + 1) * samples + 1] = path
             state = path[:, -1]
-    times = float(loop.period) * np.arange(periods * samples_per_period + 1) / samples_per_period
-    return Trajectories(times, stored, actions, observations, noise, forces, samples_per_period)
+    times = float(loop.period) * np.concatenate([[0.0], (np.arange(periods)[:, None] + shares).ravel()])
+    return Trajectories(times, stored, actions, observations, noise, forces, samples)
+
+
+def _shares(samples: int | Sequence[float]) -> FloatArray:
+    if isinstance(samples, int) and samples < 1:
+        raise UsageError(f"at least one sample per period is required, received {samples}")
+    return np.arange(1, samples + 1) / samples if isinstance(samples, int) else np.asarray(samples, dtype=np.float64)
 
 
 def observe(loop: ClosedLoop, states: FloatArray) -> FloatArray:
@@ -184,9 +190,10 @@ class _Integrator:
     """One control period of a continuous-time plant, all trajectories stacked into one system."""
 
     def __init__(
-        self, method: str, rtol: float, atol: float, samples: int, stop: Callable[[], bool] | None = None
+        self, method: str, rtol: float, atol: float, shares: FloatArray, stop: Callable[[], bool] | None = None
     ) -> None:
-        self.method, self.rtol, self.atol, self.samples, self.stop = method, rtol, atol, samples, stop
+        self.method, self.rtol, self.atol, self.stop = method, rtol, atol, stop
+        self.shares, self.samples = shares, len(shares)
 
     def __call__(self, loop: ClosedLoop, state: FloatArray, action: FloatArray, force: FloatArray) -> FloatArray:
         """States (N, samples, n); trajectories that cannot be continued are NaN."""
@@ -217,7 +224,7 @@ class _Integrator:
                 raise _GivenUp
             return derivative(loop, flat.reshape(shape), action, force).ravel()
 
-        times = period * np.arange(1, self.samples + 1) / self.samples
+        times = period * self.shares
         span, start = (0.0, period), state.ravel()
         try:
             result = solve_ivp(slope, span, start, method=self.method, t_eval=times, rtol=self.rtol, atol=self.atol)

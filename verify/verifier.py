@@ -484,6 +484,9 @@ def _exact_time(time: float, requirement: BoundRequirement, loop: ClosedLoop) ->
     """The simulation's sampling time as a fraction of the period, within the requirement's window; None for reach."""
     if requirement.kind == "reach":
         return None
+    for edge in (requirement.start, requirement.end):
+        if abs(time - float(edge)) <= 1e-9 * float(loop.period):  # which has no small denominator as a share
+            return edge
     share = Fraction(time / float(loop.period))
     near = Fraction(round(share)) if loop.plant.discrete else share.limit_denominator(64)
     return min(max(near * loop.period, requirement.start), requirement.end)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import TypeAlias
 
 import numpy as np
@@ -55,6 +56,24 @@ class Trace:
     evaluations: tuple[tuple[Evaluation, ...], ...]
 
 
+def shares_of(loop: ClosedLoop, count: int) -> Array:
+    """Shares of a period at which states are looked at: evenly spaced, and where windows begin and end.
+
+    Parameters
+    ----------
+    loop : ClosedLoop
+    count : int
+        Evenly spaced ones.
+
+    Returns
+    -------
+    array, shape (S,), S >= count
+        Increasing; the last one is 1.
+    """
+    ends = {edge / loop.period % 1 for entry in loop.requirements for edge in (entry.start, entry.end)} - {0}
+    return np.array(sorted({Fraction(i, count) for i in range(1, count + 1)} | ends), dtype=np.float64)
+
+
 class Rollout:
     """A closed loop over its whole horizon.
 
@@ -74,9 +93,11 @@ class Rollout:
 
     def __init__(self, loop: ClosedLoop, substeps: int) -> None:
         self.loop = loop
-        self.substeps = 1 if loop.plant.discrete else substeps
-        self.step = float(loop.period) / self.substeps
-        self.times = float(loop.period) * np.arange(loop.periods * self.substeps + 1) / self.substeps
+        shares = np.ones(1) if loop.plant.discrete else shares_of(loop, substeps)
+        self.substeps = shares.size
+        self.steps = float(loop.period) * np.diff(shares, prepend=0.0)
+        ends = (np.arange(loop.periods)[:, None] + shares).ravel()
+        self.times = float(loop.period) * np.concatenate([[0.0], ends])
         self.plant = TapeAdjoint(loop.plant.tape)
         evaluations = loop.periods * self.substeps * (1 if loop.plant.discrete else 4)
         self.operations = evaluations * max(len(loop.plant.tape.instructions), 1)
@@ -111,7 +132,7 @@ class Rollout:
             )
             held = [*action, *choices.disturbances[k]]
             for j in range(self.substeps):
-                state, used = self._advance(state, held)
+                state, used = self._advance(state, held, self.steps[j])
                 states[k * self.substeps + j + 1] = state
                 evaluations.append(used)
         return Trace(states, tuple(decisions), tuple(evaluations))
@@ -138,7 +159,7 @@ class Rollout:
             held = np.zeros((inputs + len(loop.disturbances), count))
             for j in reversed(range(self.substeps)):
                 index = k * self.substeps + j
-                gradient = self._retreat(trace.evaluations[index], gradient + seeds[index + 1], held)
+                gradient = self._retreat(trace.evaluations[index], gradient + seeds[index + 1], held, self.steps[j])
             disturbances[k] = held[inputs:]
             if k >= loop.delay:
                 actions[k - loop.delay] = held[:inputs]
@@ -147,22 +168,20 @@ class Rollout:
                 gradient = gradient + seen
         return Choices(gradient + seeds[0], noise, disturbances)
 
-    def _advance(self, state: Array, held: list[Array]) -> tuple[Array, tuple[Evaluation, ...]]:
+    def _advance(self, state: Array, held: list[Array], h: float) -> tuple[Array, tuple[Evaluation, ...]]:
         """One step of the plant: its map, or the classical Runge-Kutta formula."""
         first, k1 = self._evaluate(state, held)
         if self.loop.plant.discrete:
             return k1, (first,)
-        h = self.step
         second, k2 = self._evaluate(state + 0.5 * h * k1, held)
         third, k3 = self._evaluate(state + 0.5 * h * k2, held)
         fourth, k4 = self._evaluate(state + h * k3, held)
         return state + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), (first, second, third, fourth)
 
-    def _retreat(self, used: tuple[Evaluation, ...], gradient: Array, held: Array) -> Array:
+    def _retreat(self, used: tuple[Evaluation, ...], gradient: Array, held: Array, h: float) -> Array:
         """Gradient in the start of a step from the one in its end; actions and disturbances are added to `held`."""
         if self.loop.plant.discrete:
             return self._pull(used[0], gradient, held)
-        h = self.step
         fourth = self._pull(used[3], h / 6.0 * gradient, held)
         third = self._pull(used[2], h / 3.0 * gradient + h * fourth, held)
         second = self._pull(used[1], h / 3.0 * gradient + 0.5 * h * third, held)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...models.closed_loop import BoundRequirement, ClosedLoop
 from ...models.simulation import Trajectories, simulate
 from .candidates import Candidate, magnitude, violations
-from .rollout import Choices, Rollout
+from .rollout import Choices, Rollout, shares_of
 
 Array = NDArray[np.float64]
 Stop: TypeAlias = Callable[[], bool]
@@ -77,7 +77,7 @@ class Simulations:
             forces,
             rtol=rtol,
             atol=atol,
-            samples_per_period=samples,
+            samples_per_period=1 if self.loop.plant.discrete else shares_of(self.loop, samples).tolist(),
             stop=self.stop,
         )
 
@@ -86,7 +86,9 @@ class Simulations:
         run = self.simulate(choices, COARSE, self.samples)
         amounts = []
         for number, requirement in enumerate(self.loop.requirements):
-            amount, when = violations(requirement, run.times, run.states, self.samples, float(self.loop.period))
+            amount, when = violations(
+                requirement, run.times, run.states, run.samples_per_period, float(self.loop.period)
+            )
             amounts.append(amount)
             worst = int(np.argmax(amount))
             if amount[worst] > UNSURE * magnitude(requirement, run.states[worst, when[worst]]):
@@ -100,7 +102,7 @@ class Simulations:
         requirement = self.loop.requirements[number]
         samples = 1 if self.loop.plant.discrete else DENSER * self.samples
         run = self.simulate(choices, FINE, samples)
-        amount, when = violations(requirement, run.times, run.states, samples, float(self.loop.period))
+        amount, when = violations(requirement, run.times, run.states, run.samples_per_period, float(self.loop.period))
         worst = int(np.argmax(amount))
         if amount[worst] > 0.0:
             self.enter(number, _candidate(requirement, run, worst, when[worst], amount[worst]))
@@ -133,9 +135,9 @@ class Simulations:
         for substeps in SUBSTEPS:
             rollout = Rollout(self.loop, substeps)
             trace = rollout.run(few, self.stop)
-            if not finite.size or trace is None or rollout.substeps != substeps:
+            if not finite.size or trace is None or self.loop.plant.discrete:
                 break
-            error = np.abs(trace.states[substeps::substeps] - truth).max((0, 2))
+            error = np.abs(trace.states[rollout.substeps :: rollout.substeps] - truth).max((0, 2))
             if (error <= CLOSE * np.ptp(truth, axis=(0, 2))).all():
                 break
         return rollout
