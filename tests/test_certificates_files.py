@@ -10,6 +10,7 @@ import time
 import tracemalloc
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -242,3 +243,15 @@ def test_refusing_takes_little_memory() -> None:
 
 def test_the_digest_is_the_one_of_the_numbers() -> None:
     assert header_of(good())["payload"] == hashlib.sha256(payload_of(good())).hexdigest()
+
+
+def test_claims_whose_sums_are_no_floats_are_rejected() -> None:
+    certificate = opened(good(), CASE.policy, CASE.specification)
+    (leaf,) = certificate.leaves
+    action = leaf.periods[0].action
+    size = len(action.center)
+    huge = replace(action, rows=((1.7e308,) * size, *action.rows[1:]), box=(1.79e308,) * size)
+    other = replace(leaf, periods=(replace(leaf.periods[0], action=huge), *leaf.periods[1:]))
+    writer = certificate.writer(other)
+    content = sealed(certificate.header, [(writer.floats, writer.integers)])
+    assert isinstance(judged(content), str)

@@ -64,8 +64,11 @@ class Image:
 
 
 def sum_above(numbers: Sequence[float]) -> float:
-    """A float that is not below the sum of absolute values: `math.fsum` rounds once."""
-    total = math.fsum(map(abs, numbers))
+    """A float that is not below the sum of absolute values: `math.fsum` rounds once. Infinite where no float is."""
+    try:
+        total = math.fsum(map(abs, numbers))
+    except OverflowError:
+        return math.inf
     return math.nextafter(total, math.inf) if total else 0.0
 
 

@@ -76,7 +76,8 @@ class _Pool:
         self.next = 0
         self.problem = ""
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-        command = [sys.executable, "-m", __name__]
+        # -P: nothing that lies in the folder where the caller happens to be takes the place of a module
+        command = [sys.executable, "-P", "-m", __name__]
         self.processes = [
             # a session of its own: an interrupt is for the caller, who then ends the processes
             subprocess.Popen(
