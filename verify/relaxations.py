@@ -122,8 +122,9 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     """Bounds of tanh(x) - m x for given slopes (a leading axis of alternatives is allowed).
 
     tanh is concave for x >= 0: there the residual's minimum is at an end, and its maximum is bounded by the tangent at
-    any p >= 0: ``f(x) - m x <= f(p) - m p + |f'(p) - m| max |x - p|``; p near atanh(sqrt(1 - m)), where f' = m, makes
-    the last term vanish. For x <= 0 the same holds for -tanh(-x).
+    any p >= 0: ``f(x) - m x <= f(p) - m p + (f'(p) - m) (x - p)``; p near atanh(sqrt(1 - m)), where f' = m, makes the
+    last term vanish, and so does an end of the interval that lies before that place. For x <= 0 the same holds for
+    -tanh(-x).
     """
     slope = _between(slope, xp.zeros_like(slope), xp.ones_like(slope), xp)
     # the place where f' = m, and any place is sound; for m < 2^-50 the root rounds to 1
@@ -163,10 +164,12 @@ def _tangent_bound(p: Any, slope: Any, start: Any, stop: Any, xp: Any) -> Any:
     value = xp.tanh(p)
     derivative = (1.0 - value) * (1.0 + value)
     # |d(1 - t^2)| <= 2 |dt|: the elementary error of tanh enters absolutely, not relative to the derivative
-    mismatch = abs(derivative - slope) + 4.0 * rounding.elementary_error(1.0)
-    reach = xp.maximum(stop - p, p - start)
+    mismatch, error = derivative - slope, 4.0 * rounding.elementary_error(1.0)
+    zero = xp.zeros_like(mismatch)
+    # where the residual still rises at p, what lies behind p is above it; where it falls, what lies before p
+    beyond = xp.maximum(mismatch + error, zero) * (stop - p) + xp.maximum(error - mismatch, zero) * (p - start)
     top = _residual(p, slope, xp)[1]
-    return top + rounding.enlarged(mismatch * reach, 6) + rounding.relative_error(top, 2)
+    return top + rounding.enlarged(beyond, 7) + rounding.relative_error(top, 2)
 
 
 def _sigmoid(lower: Any, upper: Any, xp: Any) -> Relaxation:
@@ -228,3 +231,46 @@ def relax(activation: Activation, lower: Any, upper: Any) -> Relaxation:
 
             return _piecewise_linear(clipped, finite, lower, upper, xp)
     raise AssertionError(f"no relaxation for {activation.kind}")
+
+
+def estimate(activation: Activation, lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """What `relax` returns up to rounding, in a fraction of its time: for training, where nothing rests on it.
+
+    Without the rounding terms, hence without the selections that keep stable neurons free of them: only arithmetic and
+    comparisons that return numbers. Differentiable wherever the relaxation is.
+
+    Parameters
+    ----------
+    activation : Activation
+        relu or tanh, the activations of networks that are trained here.
+    lower, upper : array, shape (..., n)
+        Ordered and finite.
+    xp : module
+        Array API namespace of the bounds.
+
+    Returns
+    -------
+    Relaxation
+    """
+    tiny = float(xp.finfo(lower.dtype).tiny)
+    width = xp.clip(upper - lower, min=tiny)
+    if activation.kind == "relu":
+        slope = xp.clip(upper / width, min=0.0, max=1.0)
+        error = xp.clip(-0.5 * slope * lower, min=0.0)  # -m l = (1 - m) u for the chord; 0 where it is stable
+        return Relaxation(slope, error, error)
+    assert activation.kind == "tanh", activation.kind
+    low_value, high_value = xp.tanh(lower), xp.tanh(upper)
+    ends = 1.0 - xp.maximum(low_value * low_value, high_value * high_value)  # the smaller slope of the two ends
+    slopes = xp.clip(xp.stack([(high_value - low_value) / width, ends]), min=0.0, max=1.0)
+    place = xp.atanh(
+        xp.clip(xp.sqrt(1.0 - slopes), max=1.0 - 2.0**-23)
+    )  # where the derivative is the slope, and at -place
+    inside = xp.stack([xp.minimum(xp.maximum(x, lower), upper) for x in (place, -place)])
+    inner = xp.tanh(inside) - slopes * inside
+    first, last = low_value - slopes * lower, high_value - slopes * upper
+    low = xp.minimum(xp.minimum(first, last), xp.minimum(inner[0, ...], inner[1, ...]))
+    high = xp.maximum(xp.maximum(first, last), xp.maximum(inner[0, ...], inner[1, ...]))
+    error = 0.5 * (high - low)
+    chord = error[0, ...] < error[1, ...]  # a point has no chord: there the slope of the ends, the derivative
+    found = xp.where(chord, xp.stack([slopes, low, high])[:, 0, ...], xp.stack([slopes, low, high])[:, 1, ...])
+    return Relaxation(found[0, ...], 0.5 * (found[1, ...] + found[2, ...]), 0.5 * (found[2, ...] - found[1, ...]))
