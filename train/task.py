@@ -19,7 +19,7 @@ from ..models.closed_loop import ClosedLoop, Intervals, Plant
 from ..models.plant import compile_plant, load_plant, suggestion
 from ..models.policy import Activation, Affine, Policy
 from ..models.sampling import inner_bounds
-from ..models.simulation import derivative
+from ..models.simulation import derivative, observe
 from ..specs.errors import SpecificationError, UsageError
 from ..specs.specification import Bounds, PlantDescription, Specification
 from .streams import Streams
@@ -114,7 +114,8 @@ def task_of(
     Raises
     ------
     SpecificationError
-        There is no reward or it is zero everywhere, or the dynamics are not finite on the start box.
+        There is no reward or it is zero everywhere, or the plant or the observation is not finite on the start
+        box.
     UsageError
         The start box names what is no state, leaves a state out, or is empty.
     """
@@ -177,28 +178,34 @@ def start_bounds(values: Mapping[str, Any]) -> dict[str, Bounds]:
     return box
 
 
+def starts_at(task: Task, shares: Array) -> Array:
+    """Points of the start box at shares (..., states) of its sides: 0 is the lower bound, 1 the upper one."""
+    return _between(np.array([inner_bounds(*bounds) for bounds in task.start]), shares)
+
+
+def forces_at(task: Task, shares: Array) -> Array:
+    """Disturbances at shares (..., horizon, d) of their bounds; a constant one keeps its first over the episode."""
+    disturbances = task.loop.disturbances
+    bounds = np.array([inner_bounds(entry.lower, entry.upper) for entry in disturbances]).reshape(-1, 2)
+    forces = _between(bounds, shares)
+    constant = [entry.constant for entry in disturbances]
+    forces[..., constant] = forces[..., :1, constant]
+    return forces
+
+
 def sample_starts(task: Task, streams: Streams) -> Array:
     """Initial states of one episode per seed, uniform in the start box: (S, states), from the stream "start"."""
-    lower, upper = np.array([inner_bounds(*bounds) for bounds in task.start]).T
-    shares = streams.uniform("start", (len(lower),))
-    return np.asarray(np.clip(lower + shares * (upper - lower), lower, upper))
+    return starts_at(task, streams.uniform("start", (len(task.start),)))
 
 
 def sample_forces(task: Task, streams: Streams) -> Array:
-    """Disturbances of one episode per seed, (S, horizon, d), from the stream "disturbance".
+    """Disturbances of one episode per seed, uniform: (S, horizon, d), from the stream "disturbance"."""
+    return forces_at(task, streams.uniform("disturbance", (task.horizon, len(task.loop.disturbances))))
 
-    Uniform within their bounds; a constant one does not change over the episode.
-    """
-    disturbances = task.loop.disturbances
-    bounds = np.array([inner_bounds(entry.lower, entry.upper) for entry in disturbances]).reshape(-1, 2)
+
+def _between(bounds: Array, shares: Array) -> Array:
     lower, upper = bounds.T
-    if not disturbances:
-        return np.zeros((len(streams.seeds), task.horizon, 0))
-    shares = streams.uniform("disturbance", (task.horizon, len(disturbances)))
-    forces = np.clip(lower + shares * (upper - lower), lower, upper)
-    constant = [entry.constant for entry in disturbances]
-    forces[:, :, constant] = forces[:, :1, constant]
-    return np.asarray(forces)
+    return np.asarray(np.clip(lower + shares * (upper - lower), lower, upper))
 
 
 def _plant(specification: Specification) -> Plant:
@@ -271,7 +278,7 @@ def _start_box(start: Mapping[str, Bounds], states: tuple[str, ...]) -> Interval
 
 
 def _require_finite_dynamics(loop: ClosedLoop, box: Intervals) -> None:
-    """A plant that has no next state at its own start cannot be trained: try the middle and the corners of the box."""
+    """A plant that goes nowhere from its own start cannot be trained: try the middle and the corners of the box."""
     middle = [float((lower + upper) / 2) for lower, upper in box]
     choices = np.random.default_rng(0).random((START_CORNERS, len(box))) < 0.5
     lower, upper = np.array([inner_bounds(*bounds) for bounds in box]).T
@@ -280,14 +287,16 @@ def _require_finite_dynamics(loop: ClosedLoop, box: Intervals) -> None:
     forces = [float((entry.lower + entry.upper) / 2) for entry in loop.disturbances]
     with np.errstate(all="ignore"):
         slopes = derivative(loop, states, actions, np.tile(forces, (len(states), 1)))
-    wrong = np.flatnonzero(~np.isfinite(slopes).all(axis=1))
-    if wrong.size:
-        place = ", ".join(f"{n} = {x:g}" for n, x in zip(loop.plant.states, states[wrong[0]], strict=True))
-        raise SpecificationError(
-            f"the plant cannot be trained: its dynamics are not finite at {place}",
-            where=place_of(loop.specification, "plant"),
-            remedy="start episodes where they are: give another start box",
-        )
+        seen = observe(loop, states)
+    for what, key, values in (("vector field", "plant", slopes), ("observation", "controller.observe", seen)):
+        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        if wrong.size:
+            place = ", ".join(f"{n} = {x:g}" for n, x in zip(loop.plant.states, states[wrong[0]], strict=True))
+            raise SpecificationError(
+                f"the plant cannot be trained: the {what} has no finite value at {place}",
+                where=place_of(loop.specification, key),
+                remedy="start episodes where it has: give another start box",
+            )
 
 
 def _is_number(value: Any) -> bool:
