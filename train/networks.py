@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -40,15 +41,14 @@ class Layout:
         """Numbers per seed."""
         return sum((inputs + 1) * outputs for inputs, outputs in pairwise(self.sizes))
 
+    @cached_property
+    def _pieces(self) -> list[int]:
+        return [size for inputs, outputs in pairwise(self.sizes) for size in (inputs * outputs, outputs)]
+
     def views(self, flat: Tensor) -> list[Pair]:
         """Weights (S, outputs, inputs) and biases (S, outputs) of every layer, as views into a flat tensor (S, P)."""
-        pairs, start = [], 0
-        for inputs, outputs in pairwise(self.sizes):
-            middle, stop = start + inputs * outputs, start + (inputs + 1) * outputs
-            weight = flat[:, start:middle].unflatten(1, (outputs, inputs))
-            pairs.append((weight, flat[:, middle:stop]))
-            start = stop
-        return pairs
+        pieces, sizes = flat.split(self._pieces, 1), self.sizes
+        return [(pieces[2 * k].view(-1, sizes[k + 1], sizes[k]), pieces[2 * k + 1]) for k in range(len(sizes) - 1)]
 
 
 def initial_parameters(layout: Layout, generators: Sequence[np.random.Generator], dtype: torch.dtype) -> Tensor:
@@ -86,6 +86,67 @@ def forward(layout: Layout, flat: Tensor, x: Tensor) -> Tensor:
         x = torch.baddbmm(b[:, None], x, w.mT).relu_()
     x = torch.baddbmm(bias[:, None], x, weight.mT)
     return x.tanh_() if layout.squashed else x
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A forward pass with what its backward pass needs.
+
+    Attributes
+    ----------
+    inputs : list of Tensor, shape (S, B, width)
+        Input h_{k-1} of every affine map.
+    slopes : list of Tensor, shape (S, B, width)
+        d h_k / d (W_k h_{k-1} + b_k) of every hidden layer.
+    output : Tensor, shape (S, B, outputs)
+    final : Tensor or None
+        d output / d (last affine map); None: 1.
+    """
+
+    inputs: list[Tensor]
+    slopes: list[Tensor]
+    output: Tensor
+    final: Tensor | None
+
+
+def trace(layout: Layout, flat: Tensor, x: Tensor) -> Trace:
+    """`forward`, kept for `backward`."""
+    *hidden, (weight, bias) = layout.views(flat)
+    inputs, slopes = [x], []
+    for w, b in hidden:
+        x = torch.baddbmm(b[:, None], x, w.mT).relu_()
+        inputs.append(x)
+        slopes.append(x.sign())
+    x = torch.baddbmm(bias[:, None], x, weight.mT)
+    if not layout.squashed:
+        return Trace(inputs, slopes, x, None)
+    x = x.tanh_()
+    return Trace(inputs, slopes, x, 1.0 - x.square())
+
+
+def backward(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor, gradient: Tensor) -> None:
+    """Gradient of ``sum(delta * output)`` with respect to the parameters, written into `gradient` (S, P)."""
+    if kept.final is not None:
+        delta = delta * kept.final
+    pairs, into = layout.views(flat), layout.views(gradient)
+    for k in range(len(pairs) - 1, -1, -1):
+        weight, bias = into[k]
+        torch.bmm(delta.mT, kept.inputs[k], out=weight)
+        torch.sum(delta, 1, out=bias)
+        if k:
+            delta = torch.bmm(delta, pairs[k][0]).mul_(kept.slopes[k - 1])
+
+
+def input_gradient(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor) -> Tensor:
+    """Gradient of ``sum(delta * output)`` with respect to the network's input, shape (S, B, inputs)."""
+    if kept.final is not None:
+        delta = delta * kept.final
+    pairs = layout.views(flat)
+    for k in range(len(pairs) - 1, -1, -1):
+        delta = torch.bmm(delta, pairs[k][0])
+        if k:
+            delta.mul_(kept.slopes[k - 1])
+    return delta
 
 
 def layers_of(layout: Layout, row: Tensor) -> list[Layer]:

@@ -252,7 +252,8 @@ def estimate(activation: Activation, lower: Any, upper: Any, xp: Any) -> Relaxat
     -------
     Relaxation
     """
-    tiny = float(xp.finfo(lower.dtype).tiny)
+    limits = xp.finfo(lower.dtype)
+    tiny = float(limits.tiny)
     width = xp.clip(upper - lower, min=tiny)
     if activation.kind == "relu":
         slope = xp.clip(upper / width, min=0.0, max=1.0)
@@ -262,9 +263,8 @@ def estimate(activation: Activation, lower: Any, upper: Any, xp: Any) -> Relaxat
     low_value, high_value = xp.tanh(lower), xp.tanh(upper)
     ends = 1.0 - xp.maximum(low_value * low_value, high_value * high_value)  # the smaller slope of the two ends
     slopes = xp.clip(xp.stack([(high_value - low_value) / width, ends]), min=0.0, max=1.0)
-    place = xp.atanh(
-        xp.clip(xp.sqrt(1.0 - slopes), max=1.0 - 2.0**-23)
-    )  # where the derivative is the slope, and at -place
+    # where the derivative is the slope, and at -place
+    place = xp.atanh(xp.clip(xp.sqrt(1.0 - slopes), max=1.0 - float(limits.eps)))
     inside = xp.stack([xp.minimum(xp.maximum(x, lower), upper) for x in (place, -place)])
     inner = xp.tanh(inside) - slopes * inside
     first, last = low_value - slopes * lower, high_value - slopes * upper
