@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+from copy import deepcopy
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any
@@ -70,8 +72,15 @@ def small(dynamics: dict[str, str], *, reward: Any = None, discrete: bool = Fals
     return task_of(specification_of(plant, initial, reward=given, **others))
 
 
+def chain() -> Task:
+    """A linear plant with enough states for a matrix product to sum them in blocks."""
+    names = [f"x{index}" for index in range(9)]
+    dynamics = {name: f"u - {name}/3 + ({' + '.join(names)})/{17 + k}" for k, name in enumerate(names)}
+    return small(dynamics, initial={name: (-1, 1) for name in names}, periods=9)
+
+
 def tasks() -> dict[str, Task]:
-    return {**{name: shipped(name) for name in STARTS}, "everything": everything()}
+    return {**{name: shipped(name) for name in STARTS}, "everything": everything(), "chain": chain()}
 
 
 def drive(environment: Environment, policy: Any, starts: Any, forces: Any) -> tuple[Any, Any]:
@@ -148,6 +157,11 @@ def test_what_is_affine_is_decided_exactly(text: str, row: Any) -> None:
         np.testing.assert_allclose([*found[0][0], found[1][0]], row, rtol=1e-15)
 
 
+def test_a_period_has_at_least_one_substep() -> None:
+    with pytest.raises(UsageError):
+        Discretisation(compile_plant(plant_of({"x": "u"})), F(1), 0)
+
+
 def test_a_discrete_plant_moves_by_its_map() -> None:
     plant = compile_plant(plant_of({"x": "y*u + 1", "y": "x", "n": "3"}, "u", discrete=True))
     step = Discretisation(plant, F(1))
@@ -157,7 +171,7 @@ def test_a_discrete_plant_moves_by_its_map() -> None:
 
 
 @pytest.mark.parametrize("discrete", [False, True])
-@pytest.mark.parametrize("text", ["exp(-x**2)*cos(y) + sqrt(3 + x)/(2 + y**2) - d", "x", "2", "u", "log(2 + u)*y - 1"])
+@pytest.mark.parametrize("text", ["exp(-x**2)*cos(y) + sqrt(3 + x)/(2 + y**2) - d", "2", "u", "log(2 + u)*y - 1"])
 def test_tensors_move_as_arrays_do(text: str, discrete: bool) -> None:
     plant = compile_plant(plant_of({"x": text, "y": "tan(x/4)*u - tanh(y)"}, "u", "d", discrete))
     step, generator = Discretisation(plant, F(1, 5)), np.random.default_rng(2)
@@ -165,6 +179,13 @@ def test_tensors_move_as_arrays_do(text: str, discrete: bool) -> None:
     moved = step.advance(*values)
     tensors = [torch.from_numpy(value).reshape(2, 3, -1) for value in values]
     np.testing.assert_allclose(step.advance(*tensors).reshape(6, 2).numpy(), moved, rtol=1e-13)
+
+
+def test_tensors_move_as_arrays_do_where_the_plant_is_linear() -> None:
+    step = Discretisation(compile_plant(plant_of({"x": "2*u - d + e", "y": "x - y - 1"}, "u", "d e")), F(1, 5))
+    values = [np.random.default_rng(2).uniform(-1, 1, (6, size)) for size in (2, 1, 2)]
+    assert step.kind == "linear"
+    np.testing.assert_allclose(step.advance(*map(torch.from_numpy, values)), step.advance(*values), rtol=1e-13)
 
 
 @pytest.mark.parametrize("name", ["quadrotor1d", "quadrotor2d"])
@@ -204,7 +225,7 @@ def test_a_delayed_action_acts_that_many_periods_later(delay: int) -> None:
     np.testing.assert_allclose(states, exact.states, atol=1e-8, rtol=0)
 
 
-@pytest.mark.parametrize("name", [*STARTS, "everything"])
+@pytest.mark.parametrize("name", [*STARTS, "everything", "chain"])
 def test_a_lane_is_the_same_bit_for_bit_whatever_runs_beside_it(name: str) -> None:
     task = tasks()[name]
     *_, states, rewards = episode(task, 5)
@@ -221,6 +242,27 @@ def test_an_episode_does_not_remember_the_one_before() -> None:
     drive(environment, policy, -starts, forces)
     again = drive(environment, policy, starts, forces)
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+
+
+@pytest.mark.parametrize("name", ["quadrotor2d", "everything"])
+def test_a_copy_of_an_environment_goes_on_alone(name: str) -> None:
+    task, streams = tasks()[name], Streams([0, 1])
+    environment = Environment(task, 2, dtype=torch.float64)
+    environment.reset(sample_starts(task, streams))
+    forces, action = sample_forces(task, streams), torch.full((2, task.actions), 0.5, dtype=torch.float64)
+    environment.step(action, forces[:, 0])
+    for copy in (deepcopy(environment), pickle.loads(pickle.dumps(environment))):  # noqa: S301
+        steps = [copy.step(action, forces[:, 1]), copy.step(-action, forces[:, 2])]
+        again = deepcopy(environment)
+        expected = [again.step(action, forces[:, 1]), again.step(-action, forces[:, 2])]
+        assert all(torch.equal(a.observation, b.observation) for a, b in zip(steps, expected, strict=True))
+        assert not torch.equal(steps[0].observation, steps[1].observation)
+    loop = replace(task.loop, periods=1, delay=0)
+    exact = simulate(loop, environment.state, policy=lambda _: action.numpy(), disturbances=forces[:, 1:2], **TIGHT)
+    moved = deepcopy(Environment(replace(task, loop=loop), 2, dtype=torch.float64))
+    moved.reset(environment.state)
+    moved.step(action, forces[:, 1])
+    np.testing.assert_allclose(moved.state, exact.states[:, 1], rtol=1e-6, atol=1e-9)
 
 
 def test_observations_are_those_of_the_controller_in_network_coordinates() -> None:
@@ -245,7 +287,7 @@ def test_a_lane_ends_where_every_weighted_state_is_near_its_target() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_lane_that_leaves_the_finite_numbers_keeps_its_last_state_and_disturbs_nobody(dtype: Any) -> None:
-    task = small({"x": "x**3 + u", "y": "-y"}, periods=8, period=1)
+    task = small({"x": "x**3 + u/9", "y": "-y"}, periods=8, period=1, initial={"x": ("0.1", "0.1"), "y": (1, 1)})
     starts, force = np.array([[0.1, 1.0], [50.0, 1.0], [-0.2, 1.0]]), np.zeros((3, 0))
     environment, alone = (Environment(task, lanes, dtype=dtype, goal_stop=1e9) for lanes in (3, 2))
     environment.reset(starts)
@@ -275,21 +317,17 @@ def test_a_state_beyond_float32_is_lost_there_and_not_in_float64() -> None:
     assert lost == {torch.float32: True, torch.float64: False}
 
 
-def test_actions_carry_no_gradient_into_the_environment_and_are_not_kept() -> None:
-    task = everything()
+def test_actions_carry_no_gradient_into_the_environment_and_are_copied_into_its_queue() -> None:
+    task = small({"x": "u"}, periods=4, period=1, delay=1)
     environment = Environment(task, 1, dtype=torch.float64)
-    environment.reset(np.zeros((1, 3)))
-    action = torch.zeros(1, task.actions, dtype=torch.float64, requires_grad=True)
-    for k in range(3):
-        step = environment.step(action, np.zeros((1, 2)))
+    environment.reset(np.zeros((1, 1)))
+    action, states = torch.full((1, 1), 0.25, dtype=torch.float64, requires_grad=True), []
+    for _ in range(4):
+        step = environment.step(action, np.zeros((1, 0)))
+        states.append(step.observation.item())
         with torch.no_grad():
-            action += k + 1.0  # what is queued is what was given
-    assert not step.observation.requires_grad
-    copied = Environment(task, 1, dtype=torch.float64)
-    copied.reset(np.zeros((1, 3)))
-    for given in (0.0, 1.0, 3.0):
-        copied.step(torch.full((1, task.actions), given, dtype=torch.float64), np.zeros((1, 2)))
-    assert np.array_equal(environment.state, copied.state)
+            action *= 2.0
+    assert states == [0.0, 0.25, 0.75, 1.75] and not step.observation.requires_grad
 
 
 @pytest.mark.parametrize("starts", [np.zeros((1, 3)), np.zeros((2, 2)), np.full((2, 3), np.nan)])
@@ -386,11 +424,13 @@ def test_a_start_box_is_exact() -> None:
         ({"initial": {"x": (-1, 1)}, "text": "log(x)"}, "vector field has no finite value at x = 0"),
         ({"initial": {"x": (0, 1)}, "text": "1/x"}, "vector field has no finite value at x = 0"),
         ({"observe": {"o": "sqrt(x)"}, "initial": {"x": (-1, 3)}}, "observation has no finite value at x = -1"),
+        ({"text": "x**3", "initial": {"x": (0, 1)}}, "do not resolve its motion at x = 1"),
+        ({"text": "1000*(sin(u) - x)*(2 + cos(x))"}, "do not resolve its motion at x = 1"),
         ({"inputs": "", "text": "-x"}, "no inputs"),
     ],
 )
 def test_what_cannot_be_trained_says_why(others: dict[str, Any], message: str) -> None:
-    others = {"reward": Reward({"x": F(1)}, {}, F(1)), "initial": {"x": (1, 1)}, **others}
+    others = {"reward": Reward({"x": F(1)}, {}, F(1)), "initial": {"x": (1, 1)}, "period": 1, **others}
     plant = plant_of({"x": others.pop("text", "u")}, others.pop("inputs", "u"))
     with pytest.raises(SpecificationError) as error:
         task_of(specification_of(plant, others.pop("initial"), **others))

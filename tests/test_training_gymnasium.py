@@ -117,8 +117,8 @@ def test_a_specification_that_is_not_there_is_an_error() -> None:
 def test_a_lost_state_truncates_an_episode(own: Path, tmp_path: Path) -> None:
     path = tmp_path / "blows-up.yaml"
     path.write_text(OWN.replace("x: u + wind + drift", "x: x**3 + u + wind + drift"))
-    environment = ours.make_environment(path, start={"x": 99})
-    environment.reset(seed=0)
+    environment = ours.make_environment(path, start={"x": 0})
+    environment.reset(seed=0, options={"state": [99.0]})
     observation, reward, terminated, truncated, info = environment.step([0.0])
     assert (terminated, truncated, info["lost"]) == (False, True, True)
     assert observation.tolist() == [99.0] and reward == -99.0

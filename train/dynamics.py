@@ -15,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from ..models.closed_loop import Plant
+from ..specs.errors import UsageError
 from .linear_dynamics import affine_map, exact_step
 from .tape_programs import Call, Program, TorchAlgebra, run_on_tensors
 
@@ -48,12 +49,19 @@ class Discretisation:
     ----------
     kind : {"linear", "map", "runge-kutta"}
 
+    Raises
+    ------
+    UsageError
+        `substeps` is not positive.
+
     References
     ----------
     .. [1] Hairer, Norsett and Wanner, "Solving Ordinary Differential Equations I", 1993, Table II.1.2.
     """
 
     def __init__(self, plant: Plant, period: Fraction, substeps: int = SUBSTEPS) -> None:
+        if substeps < 1:
+            raise UsageError(f"at least one substep is required, received {substeps}", where="substeps")
         self.plant, self.period, self.substeps = plant, float(period), substeps
         linear = None if plant.discrete else affine_map(plant.tape)
         self.kind: Literal["linear", "map", "runge-kutta"] = "map" if plant.discrete else "runge-kutta"
@@ -87,6 +95,10 @@ class Discretisation:
                 self._steps[lanes] = self._step(lanes)
             return self._steps[lanes](state, action, force)
         return self._on_tensors(state, action, force)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # buffers and the calls on them are views of each other, which a copy would part: a copy makes its own
+        return {**self.__dict__, "_steps": {}}
 
     def _step(self, lanes: int) -> Step:
         if self.kind == "linear":

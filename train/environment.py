@@ -6,6 +6,7 @@ elementwise over them, so that a lane's numbers do not depend on how many run be
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -237,7 +238,7 @@ class Environment:
             state = self.discretisation.advance(self.state, acting, force)
             observation, reward = self._judged(state)
             # a sum is finite only if all its terms are: one number decides the usual case
-            if self._any_lost or not np.isfinite(state.sum() + observation.sum() + reward.sum()):
+            if self._any_lost or not math.isfinite(state.sum() + observation.sum() + reward.sum()):
                 state = self._without_lost(state, observation, reward)
                 observation, reward = self._judged(state)
             self.state = state
@@ -271,17 +272,23 @@ class Environment:
         return self._tensor(ended)
 
     def _tensor(self, values: NDArray[np.generic]) -> Tensor:
-        return torch.from_numpy(values).to(self.device)
+        tensor = torch.from_numpy(values)
+        return tensor if self.device == "cpu" else tensor.to(self.device)
 
 
 class _Observation:
     """The observation's tape on points (L, n)."""
 
     def __init__(self, tape: Tape, lanes: int) -> None:
+        self.arguments = tape, lanes
         self.states = np.zeros((len(tape.inputs), lanes))
         self.values = np.zeros((len(tape.outputs), lanes))
         program = Program(tape, self.states, np.zeros((0, lanes)), self.values)
         self.calls = [*program.held, *program.varying]
+
+    def __reduce__(self) -> tuple[type, tuple[Tape, int]]:
+        # the calls' rows are views of the buffers, which a copy would part: a copy is made anew
+        return _Observation, self.arguments
 
     def __call__(self, state: Array) -> Array:
         np.copyto(self.states, state.T)

@@ -19,15 +19,19 @@ from ..models.closed_loop import ClosedLoop, Intervals, Plant
 from ..models.plant import compile_plant, load_plant, suggestion
 from ..models.policy import Activation, Affine, Policy
 from ..models.sampling import inner_bounds
-from ..models.simulation import derivative, observe
+from ..models.simulation import act, derivative, observe
 from ..specs.errors import SpecificationError, UsageError
 from ..specs.specification import Bounds, PlantDescription, Specification
+from .dynamics import SUBSTEPS, Discretisation
 from .streams import Streams
 
 Array = NDArray[np.float64]
 
-START_CORNERS = 64
-"""Corners of the start box at which the dynamics are tried before a training begins."""
+START_TRIALS = 64
+"""States of the start box from which one period is tried before a training begins."""
+
+RESOLVED = 1e-3
+"""Largest difference between a period and the same with twice as many steps, as a share of the largest state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +118,8 @@ def task_of(
     Raises
     ------
     SpecificationError
-        There is no reward or it is zero everywhere, or the plant or the observation is not finite on the start
-        box.
+        There is no reward or it is zero everywhere, or from the start box the plant or the observation has no
+        finite value, or moves too fast for its control period.
     UsageError
         The start box names what is no state, leaves a state out, or is empty.
     """
@@ -130,7 +134,7 @@ def task_of(
     loop = bind(specification, _placeholder(inputs, actions), used)
     _require_reward(loop)
     box = loop.initial if start is None else _start_box(start, used.states)
-    _require_finite_dynamics(loop, box)
+    _require_trainable(loop, box, actions)
     radii = loop.observation_radius
     rows = np.diag([float(share) for share in _direction(radii)])
     if loop.before is not None:
@@ -277,25 +281,39 @@ def _start_box(start: Mapping[str, Bounds], states: tuple[str, ...]) -> Interval
     return tuple((start[state].lower, start[state].upper) for state in states)
 
 
-def _require_finite_dynamics(loop: ClosedLoop, box: Intervals) -> None:
-    """A plant that goes nowhere from its own start cannot be trained: try the middle and the corners of the box."""
-    middle = [float((lower + upper) / 2) for lower, upper in box]
-    choices = np.random.default_rng(0).random((START_CORNERS, len(box))) < 0.5
-    lower, upper = np.array([inner_bounds(*bounds) for bounds in box]).T
-    states = np.concatenate([[middle, lower, upper], np.where(choices, lower, upper)])
-    actions = np.zeros((len(states), len(loop.plant.inputs)))
-    forces = [float((entry.lower + entry.upper) / 2) for entry in loop.disturbances]
+def _require_trainable(loop: ClosedLoop, box: Intervals, actions: int) -> None:
+    """Try one control period from the middle and from corners of the start box, under extreme actions.
+
+    A state must have a next one, an observation, and a period that `dynamics.SUBSTEPS` Runge-Kutta steps resolve.
+    """
+    generator = np.random.default_rng(0)
+    corners = generator.choice([0.0, 1.0], (START_TRIALS, len(box)))
+    corners[:3] = np.array([[0.5], [0.0], [1.0]])
+    states = _between(np.array([inner_bounds(*bounds) for bounds in box]), corners)
+    outputs = generator.choice([-1.0, 1.0], (START_TRIALS, actions))
+    outputs[:3] = 0.0
+    forces = np.tile([float((entry.lower + entry.upper) / 2) for entry in loop.disturbances], (START_TRIALS, 1))
     with np.errstate(all="ignore"):
-        slopes = derivative(loop, states, actions, np.tile(forces, (len(states), 1)))
-        seen = observe(loop, states)
-    for what, key, values in (("vector field", "plant", slopes), ("observation", "controller.observe", seen)):
-        wrong = np.flatnonzero(~np.isfinite(values).all(axis=1))
+        acting = act(loop, observe(loop, states), lambda _: outputs)
+        moved, finer = (
+            Discretisation(loop.plant, loop.period, factor * SUBSTEPS).advance(states, acting, forces)
+            for factor in (1, 2)
+        )
+        resolved = np.abs(moved - finer) <= RESOLVED * np.abs(finer[np.isfinite(finer)]).max(initial=0.0)
+        checks = (
+            ("the vector field has no finite value", "plant", np.isfinite(derivative(loop, states, acting, forces))),
+            ("the observation has no finite value", "controller.observe", np.isfinite(observe(loop, states))),
+            (f"{SUBSTEPS} Runge-Kutta steps per period do not resolve its motion", "controller.period", resolved),
+        )
+    for what, key, holds in checks:
+        wrong = np.flatnonzero(~holds.all(axis=1))
         if wrong.size:
             place = ", ".join(f"{n} = {x:g}" for n, x in zip(loop.plant.states, states[wrong[0]], strict=True))
+            remedy = "shorten the control period, or " if key == "controller.period" else ""
             raise SpecificationError(
-                f"the plant cannot be trained: the {what} has no finite value at {place}",
+                f"the plant cannot be trained: {what} at {place}",
                 where=place_of(loop.specification, key),
-                remedy="start episodes where it has: give another start box",
+                remedy=f"{remedy}start episodes elsewhere: give another start box",
             )
 
 
