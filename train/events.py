@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -95,10 +96,13 @@ class EventWriter:
             raise _unwritable(self.path, error) from None
 
     def close(self) -> None:
-        """Flush, and end."""
+        """Flush, and end; the file is closed even where that fails."""
         if not self._file.closed:
-            self.flush()
-            self._file.close()
+            try:
+                self.flush()
+            finally:
+                with suppress(OSError):  # which the flush has reported
+                    self._file.close()
 
     def _write(self, event: Any) -> None:
         event.wall_time = time.time()

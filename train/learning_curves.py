@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,10 +113,13 @@ class LearningCurves:
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Flush, and end."""
+        """Flush, and end; the file is closed even where that fails."""
         if not self._file.closed:
-            self.flush()
-            self._file.close()
+            try:
+                self.flush()
+            finally:
+                with suppress(OSError):  # which the flush has reported
+                    self._file.close()
 
     def _covered(self, content: bytes, header: bytes) -> int:
         """Length of the text up to the last row of `completed`; every row before it is as it should be."""
