@@ -176,3 +176,19 @@ def test_every_seed_is_attacked_as_if_it_were_alone() -> None:
         }
         for name, shown in alone.items():
             torch.testing.assert_close(shown[0], together[name][seed], rtol=1e-12, atol=1e-12)
+
+
+def test_points_may_have_sets_of_their_own() -> None:
+    actor, critic, x, rows = problem()
+    own = torch.stack([share * rows for share in (0.0, 0.1, 0.5, 1.0, 2.0)])
+    together = all_attacks(actor, critic, x, own)
+    draws = torch.from_numpy(np.random.default_rng(7).random((SEEDS, BATCH, 10, INPUTS)))
+    for point in range(BATCH):
+        one, some = x[:, point, None], draws[:, point, None]
+        alone = {
+            "naive": attacks.naive(ACTOR, actor, CRITIC, critic, one, own[point], some),
+            "grad": attacks.grad(ACTOR, actor, CRITIC, critic, one, own[point]),
+            "mad": attacks.mad(ACTOR, actor, one, own[point], some[:, :, 0], 10),
+        }
+        for name, shown in alone.items():
+            torch.testing.assert_close(shown[:, 0], together[name][:, point], rtol=1e-12, atol=1e-12)

@@ -8,7 +8,8 @@ They run in every environment step of a training, so gradients are written out b
 no graph. The derivative of tanh is computed from its argument without cancellation: a saturated policy keeps a gradient
 (in float32, 1 - tanh(z)^2 is zero from |z| = 9 on, and an attack that follows it would stand still).
 
-Stacks of networks and points as in `train.networks`: x (S, B, inputs), rows (q, inputs).
+Stacks of networks and points as in `train.networks`: x (S, B, inputs); rows (q, inputs), or (B, q, inputs) where every
+point has a set of its own.
 
 References
 ----------
@@ -48,7 +49,7 @@ def naive(
     critic : Tensor, shape (S, P')
         Takes ``cat([x, action])``.
     x : Tensor, shape (S, B, inputs)
-    rows : Tensor, shape (q, inputs)
+    rows : Tensor, shape (q, inputs) or (B, q, inputs)
         Generators of the set, the radius included.
     draws : Tensor, shape (S, B, K, q)
         Uniform in [0, 1).
@@ -58,7 +59,7 @@ def naive(
     Tensor, shape (S, B, inputs)
     """
     candidates = x[:, :, None] + (2.0 * draws - 1.0) @ rows
-    return _lowest_value(_Stack(actor_layout, actor), _Stack(critic_layout, critic), x, candidates)
+    return _lowest_value(Stack(actor_layout, actor), Stack(critic_layout, critic), x, candidates)
 
 
 def grad(actor_layout: Layout, actor: Tensor, critic_layout: Layout, critic: Tensor, x: Tensor, rows: Tensor) -> Tensor:
@@ -71,14 +72,14 @@ def grad(actor_layout: Layout, actor: Tensor, critic_layout: Layout, critic: Ten
     critic_layout : Layout
     critic : Tensor, shape (S, P')
     x : Tensor, shape (S, B, inputs)
-    rows : Tensor, shape (q, inputs)
+    rows : Tensor, shape (q, inputs) or (B, q, inputs)
 
     Returns
     -------
     Tensor, shape (S, B, inputs)
     """
-    mu, q = _Stack(actor_layout, actor), _Stack(critic_layout, critic)
-    shift = (_value_gradient(mu, q, x, x) @ rows.mT).sign() @ rows
+    mu, q = Stack(actor_layout, actor), Stack(critic_layout, critic)
+    shift = _shift(_along(_value_gradient(mu, q, x, x), rows).sign_(), rows)
     candidates = x[:, :, None] - x.new_tensor(SHARES)[:, None] * shift[:, :, None]
     return _lowest_value(mu, q, x, candidates)
 
@@ -94,7 +95,7 @@ def mad(actor_layout: Layout, actor: Tensor, x: Tensor, rows: Tensor, draws: Ten
     actor_layout : Layout
     actor : Tensor, shape (S, P)
     x : Tensor, shape (S, B, inputs)
-    rows : Tensor, shape (q, inputs)
+    rows : Tensor, shape (q, inputs) or (B, q, inputs)
     draws : Tensor, shape (S, B, q)
         Uniform in [0, 1).
     steps : int
@@ -104,12 +105,12 @@ def mad(actor_layout: Layout, actor: Tensor, x: Tensor, rows: Tensor, draws: Ten
     -------
     Tensor, shape (S, B, inputs)
     """
-    mu, stride = _Stack(actor_layout, actor), x.new_tensor(STRIDE / steps)
+    mu, stride = Stack(actor_layout, actor), x.new_tensor(STRIDE / steps)
     clean = mu.layer_inputs(x)[-1]
     beta = 2.0 * draws - 1.0
     tried, reached = [], []
     for step in range(steps + 1):
-        shown = x + beta @ rows
+        shown = x + _shift(beta, rows)
         inputs = mu.layer_inputs(shown)
         tried.append(shown)
         reached.append(inputs[-1])
@@ -118,7 +119,7 @@ def mad(actor_layout: Layout, actor: Tensor, x: Tensor, rows: Tensor, draws: Ten
                 slope = mu.pulled_back_affine(inputs, inputs[-1] - clean)
             else:
                 slope = mu.pulled_back(inputs, mu.difference(inputs[-1], clean))
-            beta = (beta + stride * (slope @ rows.mT).sign_()).clamp_(-1.0, 1.0)
+            beta = (beta + stride * _along(slope, rows).sign_()).clamp_(-1.0, 1.0)
     # the latest iterate first: where a saturated action does not move at all, it is the one that went farthest
     points = torch.stack([*reversed(tried), x], 2)
     ends = torch.stack([*reversed(reached), clean], 2)
@@ -142,7 +143,7 @@ def value_gradient(
     -------
     Tensor, shape (S, B, inputs)
     """
-    return _value_gradient(_Stack(actor_layout, actor), _Stack(critic_layout, critic), x, shown)
+    return _value_gradient(Stack(actor_layout, actor), Stack(critic_layout, critic), x, shown)
 
 
 def difference_gradient(actor_layout: Layout, actor: Tensor, x: Tensor, shown: Tensor) -> Tensor:
@@ -158,13 +159,19 @@ def difference_gradient(actor_layout: Layout, actor: Tensor, x: Tensor, shown: T
     -------
     Tensor, shape (S, B, inputs)
     """
-    mu = _Stack(actor_layout, actor)
+    mu = Stack(actor_layout, actor)
     inputs = mu.layer_inputs(shown)
     return mu.pulled_back(inputs, 2.0 * mu.difference(inputs[-1], mu.layer_inputs(x)[-1]))
 
 
-class _Stack:
-    """Networks of all seeds, unpacked once per attack: unpacking costs as much as running them."""
+class Stack:
+    """Networks of all seeds, unpacked once: unpacking costs as much as running them.
+
+    Parameters
+    ----------
+    layout : Layout
+    flat : Tensor, shape (S, P)
+    """
 
     def __init__(self, layout: Layout, flat: Tensor) -> None:
         self.squashed = layout.squashed
@@ -206,13 +213,23 @@ class _Stack:
         return (z - clean).tanh_() * torch.where((z > 0.0) == (clean > 0.0), same, other)
 
 
+def _shift(beta: Tensor, rows: Tensor) -> Tensor:
+    """``beta @ rows``, (S, B, q) to (S, B, inputs)."""
+    return beta @ rows if rows.ndim == 2 else (beta[:, :, None] @ rows)[:, :, 0]
+
+
+def _along(slope: Tensor, rows: Tensor) -> Tensor:
+    """``slope @ rows'``, (S, B, inputs) to (S, B, q)."""
+    return slope @ rows.mT if rows.ndim == 2 else (slope[:, :, None] @ rows.mT)[:, :, 0]
+
+
 def _missing(z: Tensor) -> Tensor:
     """``1 - |tanh z|``, to full relative precision."""
     e = (-2.0 * z.abs()).exp_()
     return 2.0 * e / (1.0 + e)
 
 
-def _value_gradient(mu: _Stack, q: _Stack, x: Tensor, shown: Tensor) -> Tensor:
+def _value_gradient(mu: Stack, q: Stack, x: Tensor, shown: Tensor) -> Tensor:
     inputs = mu.layer_inputs(shown)
     action = inputs[-1].tanh() if mu.squashed else inputs[-1]
     values = q.layer_inputs(torch.cat([x, action], -1))
@@ -220,7 +237,7 @@ def _value_gradient(mu: _Stack, q: _Stack, x: Tensor, shown: Tensor) -> Tensor:
     return mu.pulled_back(inputs, joint[..., x.shape[-1] :])
 
 
-def _lowest_value(mu: _Stack, q: _Stack, x: Tensor, candidates: Tensor) -> Tensor:
+def _lowest_value(mu: Stack, q: Stack, x: Tensor, candidates: Tensor) -> Tensor:
     """The one of x and candidates (S, B, K, inputs) whose action has the lowest value at x."""
     tried = torch.cat([x[:, :, None], candidates], 2)
     joint = torch.cat([x[:, :, None].expand_as(tried).flatten(1, 2), mu(tried.flatten(1, 2))], -1)
