@@ -35,7 +35,7 @@ def evaluation_lines(evaluation: Evaluation) -> list[str]:
 def radius_table(evaluation: Evaluation) -> list[str]:
     """One row per radius: V(s0) as median, mean and interval over the seeds; medians under every adversary."""
     attacks = [name for name in ATTACKS if name in evaluation.attacked]
-    rows = [("epsilon", "V(s0) median", "mean", "95 % interval", "worst seed", *attacks)]
+    rows: list[tuple[str, ...]] = [("epsilon", "V(s0) median", "mean", "95 % interval", "worst seed", *attacks)]
     for position, radius in enumerate(evaluation.radii):
         values = evaluation.verified.discounted[:, position]
         found = summary(values)
@@ -74,7 +74,9 @@ def comparison_lines(first: Evaluation, second: Evaluation, names: tuple[str, st
     -------
     list of str
     """
-    rows = [("epsilon", f"{names[0]} higher", "lower", "equal", "median difference", "Wilcoxon p", "sign p")]
+    rows: list[tuple[str, ...]] = [
+        ("epsilon", f"{names[0]} higher", "lower", "equal", "median difference", "Wilcoxon p", "sign p")
+    ]
     for radius, found in zip(first.radii, compare(first, second), strict=True):
         counts = [str(n) for n in (found.higher, found.lower, found.equal)]
         tests = [number(x) for x in (found.median_difference, found.wilcoxon, found.sign)]
