@@ -156,6 +156,7 @@ def test_lanes_of_a_gymnasium_environment_are_that_environment() -> None:
     assert (lanes.lanes, lanes.inputs, lanes.actions, lanes.horizon) == (3, 3, 1, 200)
     assert np.array_equal(lanes.perturbation, np.eye(3))
     seeds = lanes.sample_starts(Streams([4, 5, 6]))
+    assert len({*seeds.ravel()}) == 3 and (seeds == np.floor(seeds)).all() and (0 <= seeds).all()
     forces = lanes.sample_forces(Streams([4, 5, 6]))
     actions = np.random.default_rng(7).uniform(-1.2, 1.2, (20, 3, 1))
     observations = [lanes.reset(seeds)]
@@ -195,7 +196,7 @@ def test_a_lane_that_terminated_waits_with_reward_zero_for_the_others() -> None:
     lanes = ours.GymnasiumLanes(Countdown, 3, dtype=torch.float32, horizon=3)
     for _ in range(2):
         assert lanes.reset(np.array([[0.0], [1.0], [2.0]])).tolist() == [[1.0], [2.0], [3.0]]
-        action = torch.tensor([[-1.0, 1.0], [0.0, 0.0], [1.0, -1.0]])
+        action = torch.tensor([[-1.0, 1.0], [0.0, 0.0], [1.5, -1.5]])  # beyond 1: clipped
         steps = [lanes.step(action, np.zeros((3, 0))) for _ in range(3)]
         assert [step.ended.tolist() for step in steps] == [[True, False, False], [True, True, False], [True] * 3]
         assert [step.reward.tolist() for step in steps] == [[24.0, 23.5, 23.0], [0.0, 23.5, 23.0], [0.0, 0.0, 23.0]]

@@ -277,7 +277,7 @@ class Environment:
 
 
 class _Observation:
-    """The observation's tape on points (L, n)."""
+    """The observation's tape on points (L, n); the result is overwritten by the next call."""
 
     def __init__(self, tape: Tape, lanes: int) -> None:
         self.arguments = tape, lanes
@@ -294,7 +294,7 @@ class _Observation:
         np.copyto(self.states, state.T)
         for call in self.calls:
             call()
-        return self.values.T.copy()
+        return self.values.T
 
 
 class _AffineMap:
