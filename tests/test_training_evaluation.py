@@ -197,16 +197,28 @@ def test_disturbances_are_the_adversarys_too_and_constant_ones_stay_constant() -
     assert lost["mad"].discounted == pytest.approx(best.discounted)
 
 
+@pytest.mark.parametrize(("delay", "learns"), [(0, True), (6, False)])
+def test_nothing_is_learnt_where_every_action_comes_after_the_end(delay: int, learns: bool) -> None:
+    reward = Reward({"x": F(1)}, {"x": F(0)}, F(1))
+    specification = specification_of(plant_of({"x": "u"}), {"x": (1, 1)}, periods=6, reward=reward, delay=delay)
+    task, options = task_of(specification), AdversaryOptions(restarts=0, steps=5)
+    actor, given = torch.tensor([[1.0, 0.0]]).double(), np.zeros((1, 1, 1, 6, 1))
+    radius, start = np.array([0.2]), np.ones((1, 1, 1))
+    found = adapt(task, Layout((1, 1), True), actor, radius, start, given, np.random.default_rng(0), options)
+    learnt = found.betas[0, 0, 0, :, 0]
+    assert (learnt > 0.1).all() if learns else (learnt == 0.0).all()
+
+
 def test_the_tensor_loop_is_the_simulated_loop() -> None:
-    """Observation, maps around the network, clipping and the penalty, against models.simulation."""
+    """Observation, maps around the network and clipping, against models.simulation."""
     specification = specification_of(
         plant_of({"x": "y", "y": "u - sin(x)"}),
         {"x": (F(1, 2), F(1, 2)), "y": (0, 0)},
         periods=5,
         observe={"s": "sin(x)", "y": "y"},
         before=AffineMap(None, F(2), F(1, 10)),
-        after=AffineMap(None, F(3), F(0)),
-        clip=Bounds(F(-1), F(1, 2)),
+        after=AffineMap(None, F(3), F(-3)),
+        clip=Bounds(F(-1, 5), F(1, 2)),
     )
     specification = replace(specification, reward=Reward({"x": F(1), "y": F(1, 10)}, {"y": F(1, 5)}, F(9, 10)))
     task = task_of(specification)
@@ -222,6 +234,7 @@ def test_the_tensor_loop_is_the_simulated_loop() -> None:
     expected = simulate(bound, [0.5, 0.0])
     assert total == pytest.approx(returns(bound, expected)[0], abs=1e-6)
     assert actions == pytest.approx(expected.actions[0, :, 0].tolist(), abs=1e-6)
+    assert -0.2 in actions and max(actions) > -0.2
 
 
 def test_a_penalty_has_a_soft_edge_with_a_gradient() -> None:

@@ -124,6 +124,8 @@ def adapt(
         lower = (found < best)[..., None, None]
         kept = torch.where(lower, betas.detach(), kept[0]), torch.where(lower, forces.detach(), kept[1])
         best = torch.minimum(found, best)
+        if not total.requires_grad:
+            break  # nothing that is perturbed acts before the end
         if step < options.steps:
             adam.zero_grad()
             total.sum().backward()
