@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,20 @@ import pytest
 torch = pytest.importorskip("torch", reason="torch is part of the extra `train`")
 
 from cases import correlated_loop, discrete_loop, everything_loop  # noqa: E402
-from loops import box_region, requirement  # noqa: E402
+from loops import box_region, plant_of, requirement, specification_of  # noqa: E402
 
 from setrl.models.onnx_reader import read_policy  # noqa: E402
 from setrl.models.onnx_writer import policy_bytes  # noqa: E402
 from setrl.models.simulation import returns, simulate  # noqa: E402
 from setrl.specs.errors import UsageError  # noqa: E402
 from setrl.specs.reader import find_specification, read_specification  # noqa: E402
+from setrl.specs.specification import Reward  # noqa: E402
 from setrl.train.affine_forms import AffineForm, AffineFormAlgebra, shifted  # noqa: E402
 from setrl.train.algorithms.flowpipe import FlowpipeTrainer, ascend  # noqa: E402
 from setrl.train.networks import Layout, initial_parameters, layers_of  # noqa: E402
 from setrl.train.options import FlowpipeOptions  # noqa: E402
 from setrl.train.reachable import ReachableSets  # noqa: E402
-from setrl.train.relaxation_gradients import enclosed_sine, relaxed_relu, relaxed_tanh  # noqa: E402
+from setrl.train.relaxation_gradients import enclosed_sincos, relaxed_relu, relaxed_tanh  # noqa: E402
 from setrl.train.task import Task, start_bounds, task_of  # noqa: E402
 from setrl.verify.options import Options  # noqa: E402
 from setrl.verify.verifier import verify_radii  # noqa: E402
@@ -176,12 +178,12 @@ def test_an_operation_on_affine_forms_encloses_every_sample_with_finite_gradient
         assert all(form.terms.grad is None or form.terms.grad.isfinite().all() for form in (x, y))
 
 
-@pytest.mark.parametrize("function", [relaxed_relu, relaxed_tanh, enclosed_sine])
+@pytest.mark.parametrize("function", [relaxed_relu, relaxed_tanh, enclosed_sincos])
 def test_a_written_derivative_is_the_limit_of_differences(function: Any) -> None:
     generator = np.random.default_rng(0)
     first = torch.from_numpy(generator.uniform(-4, 3, 60)).requires_grad_()
     width = torch.from_numpy(generator.uniform(0.01, 3, 60)).requires_grad_()
-    wired = function if function is enclosed_sine else lambda x, w: function(x, x + w)
+    wired = {enclosed_sincos: lambda x, r: sum(function(x, r), ())}.get(function, lambda x, w: function(x, x + w))
     assert torch.autograd.gradcheck(wired, (first, width), eps=1e-7, atol=1e-5, rtol=1e-5)
 
 
@@ -374,9 +376,12 @@ def test_a_seed_without_a_finite_gradient_stands_still_and_the_others_do_not_not
 
 
 def test_a_set_that_explodes_keeps_a_finite_gradient() -> None:
-    task = shipped("pendulum")
-    layout, flat = policies(task, gain=30.0)
-    trainer = FlowpipeTrainer(task, layout, flat, FlowpipeOptions(steps=1, pairs=4, epsilon=2.0), (0,))
+    """Cubes of cubes overflow after six periods."""
+    plant = plant_of({"x": "x**3 + u"}, discrete=True)
+    reward = Reward({"x": Fraction(1)}, {}, Fraction("0.99"), None)
+    task = task_of(specification_of(plant, {"x": (2, 3)}, period=1, periods=9, observation="0.1", reward=reward))
+    layout, flat = policies(task)
+    trainer = FlowpipeTrainer(task, layout, flat, FlowpipeOptions(steps=1, pairs=4), (0,))
     outcome, _, gradient = trainer.gradient(trainer.pairs(0))
     assert (outcome.value < -1e3).all()
     assert gradient.isfinite().all() and gradient.abs().sum() > 0.0

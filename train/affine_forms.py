@@ -19,12 +19,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import TypeAlias
 
 import torch
 
 from .networks import Tensor
-from .relaxation_gradients import enclosed_sine, relaxed_tanh
+from .relaxation_gradients import center_and_radius, enclosed_sincos, relaxed_tanh, with_center
 
 SMALLEST = 1e-9
 """Where an operand reaches the edge of a function's domain: the share of its center (or the value) it is kept at."""
@@ -46,10 +47,14 @@ class AffineForm:
     terms: Tensor
     remainder: Tensor | float = 0.0
 
+    @cached_property
+    def _extent(self) -> tuple[Tensor, Tensor]:
+        return center_and_radius(self.terms)
+
     @property
     def center(self) -> Tensor:
         """c, shape (...)."""
-        return self.terms[..., 0]
+        return self._extent[0]
 
     @property
     def generators(self) -> Tensor:
@@ -59,7 +64,7 @@ class AffineForm:
     @property
     def radius(self) -> Tensor:
         """|g| 1 + r, shape (...)."""
-        return self.generators.abs().sum(-1) + self.remainder
+        return self._extent[1] + self.remainder
 
 
 Form: TypeAlias = AffineForm | float
@@ -117,9 +122,7 @@ class AffineFormAlgebra:
     def sincos(self, operand: Form) -> tuple[Form, Form]:
         if isinstance(operand, float):
             return math.sin(operand), math.cos(operand)
-        center, radius = operand.center, operand.radius
-        sine = enclosed_sine(center, radius)
-        cosine = enclosed_sine(center + 0.5 * math.pi, radius)
+        sine, cosine = enclosed_sincos(operand.center, operand.radius)
         return _linear(operand, *sine), _linear(operand, *cosine)
 
     def exp(self, operand: Form) -> Form:
@@ -185,8 +188,10 @@ def _ends(operand: AffineForm) -> Tensor:
 
 def _linear(operand: AffineForm, center: Tensor, slope: Tensor, error: Tensor) -> AffineForm:
     """``center + slope d +- error``, d the operand's deviation."""
-    terms = torch.cat([center[..., None], slope[..., None] * operand.generators], -1)
-    return AffineForm(terms, slope.abs() * operand.remainder + error)
+    terms = with_center(operand.terms, slope, center)
+    # most remainders are still the number zero: nothing to record
+    spread = 0.0 if isinstance(operand.remainder, float) else slope.abs() * operand.remainder
+    return AffineForm(terms, spread + error)
 
 
 def _curved(operand: AffineForm, value: Tensor, slope: Tensor, at_ends: Tensor, ends: Tensor) -> AffineForm:

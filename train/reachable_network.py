@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import torch
 
 from .networks import Layout, Pair, Tensor
-from .relaxation_gradients import relaxed_relu, relaxed_tanh
+from .relaxation_gradients import center_and_radius, relaxed_relu, relaxed_tanh, with_center
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ def enclose_actions(weights: Weights, terms: Tensor) -> ActionSet:
     slopes: list[Tensor] = []
     errors: list[Tensor] = []
     for weight, bias in later:
-        center, radius = image[..., 0] + offset, image[..., 1:].abs().sum(-1)
+        center, radius = center_and_radius(image)
+        center = center + offset
         for column in _error_columns(weights, slopes, errors, apart=False):
             radius = radius + column
         slope, half = relaxed_relu(center - radius, center + radius)
@@ -91,17 +92,18 @@ def enclose_actions(weights: Weights, terms: Tensor) -> ActionSet:
         maps = torch.bmm(weight, (maps * slope[..., None]).flatten(2)).unflatten(2, maps.shape[2:])
         offset = torch.baddbmm(bias[:, :, None], weight, torch.addcmul(half, slope, offset))
         image = torch.matmul(maps.transpose(1, 2), by_cell).transpose(1, 2)
-    center, radius = image[..., 0] + offset, image[..., 1:].abs().sum(-1)
+    center, radius = center_and_radius(image)
+    center = center + offset
     single = center.shape[1] == 1
     columns = _error_columns(weights, slopes, errors, apart=not single)
     own = sum((column if single else column.abs().sum(-1) for column in columns), torch.zeros_like(radius))
-    slope, error = None, torch.zeros_like(radius)
+    slope, error = torch.ones_like(radius), torch.zeros_like(radius)
     if weights.squashed:
         radius = radius + own
         slope, shift, error = relaxed_tanh(center - radius, center + radius)
-        center, own, image = torch.addcmul(shift, slope, center), own * slope, image * slope[..., None]
+        center, own = torch.addcmul(shift, slope, center), own * slope
         columns = [] if single else [column * slope[..., None] for column in columns]
-    whole = torch.cat([center[..., None], image[..., 1:]], -1)
+    whole = with_center(image, slope, center)
     if single:
         return ActionSet(whole, (own + error)[..., None])
     diagonal = torch.diag_embed(error.transpose(1, 2)).transpose(1, 2)

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 RELU, TANH = Activation("relu"), Activation("tanh")
 
 NARROW = 1e-6
-"""Intervals that are narrower have the curvature at their middle as derivative of the chord's slope."""
+"""On narrower intervals the chord's slope moves with half the curvature at each end."""
 
 
 def relaxed_relu(lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor]:
@@ -65,8 +65,8 @@ def relaxed_tanh(lower: Tensor, upper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return slope, offset, error
 
 
-def enclosed_sine(center: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Enclose ``sin(c + d) in a + m d +- e`` for |d| <= r: m = cos c and the exact range of the rest.
+def enclosed_sincos(center: Tensor, radius: Tensor) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """Enclose sin and cos: ``sin(c + d) in a + m d +- e`` for |d| <= r, m = cos c, and the exact range of the rest.
 
     Where that range is wider than [-1, 1], m = a = 0 and e = 1.
 
@@ -77,11 +77,23 @@ def enclosed_sine(center: Tensor, radius: Tensor) -> tuple[Tensor, Tensor, Tenso
 
     Returns
     -------
-    tuple of Tensor
-        a, m and e, differentiable by both.
+    tuple of tuple of Tensor
+        a, m and e of sin, then of cos, differentiable by both.
     """
-    middle, slope, half = _Sine.apply(center, radius)
-    return middle, slope, half
+    found = _SineCosine.apply(center, radius)
+    return found[:3], found[3:]
+
+
+def center_and_radius(terms: Tensor) -> tuple[Tensor, Tensor]:
+    """c and |g| 1 of affine forms, (..., 1 + q) to (...) twice; |x| has the derivative 0 at 0."""
+    center, radius = _Extent.apply(terms)
+    return center, radius
+
+
+def with_center(terms: Tensor, slope: Tensor, center: Tensor) -> Tensor:
+    """Affine forms ``<center, slope g>``, (..., 1 + q), from forms <c, g> and numbers (...)."""
+    result: Tensor = _WithCenter.apply(terms, slope, center)
+    return result
 
 
 def _shared(*arrays: Array) -> tuple[Tensor, ...]:
@@ -131,33 +143,31 @@ class _Tanh(torch.autograd.Function):  # type: ignore[misc]
         moved = by_slope.numpy() - by_low * at_low - by_high * at_high
         number = np.arange(2).reshape(2, *[1] * slope.ndim)
         at_ends = (rate - slope) * ((first == number) * by_low + (last == number) * by_high)
-        return _shared(*(at_ends + moved * _slope_rates(ends, value, rate, slope)))
+        return _shared(*(at_ends + moved * _slope_rates(ends, value, rate)))
 
 
-def _slope_rates(ends: Array, value: Array, rate: Array, slope: Array) -> Array:
-    """Derivatives of the slope that was chosen, by lower and upper end: of the chord, or of the smaller tanh'."""
+def _slope_rates(ends: Array, value: Array, rate: Array) -> Array:
+    """Derivatives of the chord's slope by lower and upper end: the relaxation of tanh has no other but at points."""
     width = ends[1] - ends[0]
     wide = width > NARROW
     safe = np.where(wide, width, 1.0)
-    chord = np.where(wide, (value[1] - value[0]) / safe, 0.5 * (rate[0] + rate[1]))
-    smallest = np.minimum(rate[0], rate[1])
-    curvature = -2.0 * value * rate
-    mismatch = (rate - slope) / safe
-    of_chord = np.where(wide, np.stack([-mismatch[0], mismatch[1]]), 0.5 * curvature)
-    of_smallest = (rate == smallest) * curvature
-    return np.where(np.abs(slope - chord) <= np.abs(slope - smallest), of_chord, of_smallest)
+    mismatch = (rate - (value[1] - value[0]) / safe) / safe
+    return np.where(wide, np.stack([-mismatch[0], mismatch[1]]), -value * rate)
 
 
-class _Sine(torch.autograd.Function):  # type: ignore[misc]
+class _SineCosine(torch.autograd.Function):  # type: ignore[misc]
     @staticmethod
     def forward(ctx: Any, center: Tensor, radius: Tensor) -> tuple[Tensor, ...]:
-        # rho(d) = sin(c + d) - sin c - d cos c is extreme at the ends, and where cos(c + d) = cos c: at d = 0, and at
-        # -2 c up to whole turns
+        # cos x = sin(x + pi/2); rho(d) = sin(c + d) - sin c - d cos c is extreme at the ends, and where
+        # cos(c + d) = cos c: at d = 0, and at -2 c up to whole turns
         c, r = center.detach().numpy(), radius.detach().numpy()
+        c = np.stack([c, c + 0.5 * np.pi])
         value, slope = np.sin(c), np.cos(c)
         mirrored = np.remainder(np.pi - 2.0 * c, 2.0 * np.pi) - np.pi
-        inner = np.stack([mirrored, mirrored - np.copysign(2.0 * np.pi, mirrored)])
-        places = np.stack([r, -r, *np.minimum(np.maximum(inner, -r), r), np.zeros_like(r)])
+        places = np.zeros((5, *c.shape))
+        places[0], places[1] = r, -r
+        places[2], places[3] = mirrored, mirrored - np.copysign(2.0 * np.pi, mirrored)
+        places[2:4] = np.minimum(np.maximum(places[2:4], -r), r)
         residual = np.sin(c + places) - value - slope * places
         first, last = residual.argmin(0)[None], residual.argmax(0)[None]
         low, high = np.take_along_axis(residual, first, 0)[0], np.take_along_axis(residual, last, 0)[0]
@@ -165,16 +175,46 @@ class _Sine(torch.autograd.Function):  # type: ignore[misc]
         ctx.fine = half <= 1.0
         ctx.kept = c, r, value, slope, *(np.take_along_axis(places, which, 0)[0] for which in (first, last))
         middle = np.where(ctx.fine, value + 0.5 * (low + high), 0.0)
-        return _shared(middle, np.where(ctx.fine, slope, 0.0), np.where(ctx.fine, half, 1.0))
+        slope, half = np.where(ctx.fine, slope, 0.0), np.where(ctx.fine, half, 1.0)
+        return _shared(middle[0], slope[0], half[0], middle[1], slope[1], half[1])
 
     @staticmethod
-    def backward(ctx: Any, by_middle: Tensor, by_slope: Tensor, by_half: Tensor) -> tuple[Tensor, ...]:
+    def backward(ctx: Any, *by: Tensor) -> tuple[Tensor, ...]:
         c, r, value, slope, *places = ctx.kept
-        middle, half = by_middle.numpy() * ctx.fine, by_half.numpy() * ctx.fine
-        by_center = middle * slope - by_slope.numpy() * ctx.fine * value
-        by_radius = np.zeros_like(r)
+        middle, tilt, half = (np.stack([by[i].numpy(), by[i + 3].numpy()]) * ctx.fine for i in range(3))
+        by_center, by_radius = middle * slope - tilt * value, np.zeros_like(c)
         for place, by_extreme in zip(places, (0.5 * (middle - half), 0.5 * (middle + half)), strict=True):
             rate = np.cos(c + place) - slope
             by_center += by_extreme * (rate + value * place)
             by_radius += by_extreme * rate * ((place == r) * 1.0 - (place == -r)) * (r > 0.0)
-        return _shared(by_center, by_radius)
+        return _shared(by_center.sum(0), by_radius.sum(0))
+
+
+class _Extent(torch.autograd.Function):  # type: ignore[misc]
+    @staticmethod
+    def forward(ctx: Any, terms: Tensor) -> tuple[Tensor, ...]:
+        ctx.save_for_backward(terms)
+        return terms[..., 0].clone(), terms[..., 1:].abs().sum(-1)
+
+    @staticmethod
+    def backward(ctx: Any, by_center: Tensor, by_radius: Tensor) -> Tensor:
+        (terms,) = ctx.saved_tensors
+        result = terms.sgn().mul_(by_radius[..., None])
+        result[..., 0] = by_center
+        return result
+
+
+class _WithCenter(torch.autograd.Function):  # type: ignore[misc]
+    @staticmethod
+    def forward(ctx: Any, terms: Tensor, slope: Tensor, center: Tensor) -> Tensor:
+        ctx.save_for_backward(terms, slope)
+        result = terms * slope[..., None]
+        result[..., 0] = center
+        return result
+
+    @staticmethod
+    def backward(ctx: Any, by_terms: Tensor) -> tuple[Tensor, ...]:
+        terms, slope = ctx.saved_tensors
+        result = by_terms * slope[..., None]
+        result[..., 0] = 0.0
+        return result, (by_terms[..., 1:] * terms[..., 1:]).sum(-1), by_terms[..., 0].clone()
