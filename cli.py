@@ -490,6 +490,182 @@ def _simulated(
     return loop, run, simulation_to_json(loop, run, total, amounts)
 
 
+class Algorithm(StrEnum):
+    """Training algorithms."""
+
+    pa_pc = "pa-pc"
+    naive = "naive"
+    grad = "grad"
+    mad = "mad"
+    sa_pc = "sa-pc"
+    sa_sc = "sa-sc"
+
+
+class Base(StrEnum):
+    """What an algorithm is built on."""
+
+    ddpg = "ddpg"
+    td3 = "td3"
+
+
+class Preset(StrEnum):
+    """Where weights come from."""
+
+    tuned = "tuned"
+    paper = "paper"
+    none = "none"
+
+
+class Device(StrEnum):
+    """Where the networks are."""
+
+    cpu = "cpu"
+    cuda = "cuda"
+
+
+@app.command(short_help="Train policies that verify.")
+def train(
+    spec: SpecOption = None,
+    algorithm: Annotated[Algorithm | None, typer.Option(help="Default sa-pc.")] = None,
+    base: Annotated[Base | None, typer.Option(help="Default ddpg.")] = None,
+    seeds: Annotated[int | None, typer.Option(metavar="N", help="Seeds trained side by side; default 1.")] = None,
+    first_seed: Annotated[int | None, typer.Option(metavar="N", help="The first of them; default 0.")] = None,
+    episodes: Annotated[int | None, typer.Option(metavar="N", help="Default 2000.")] = None,
+    epsilon: Annotated[
+        float | None, typer.Option(metavar="RADIUS", help="Perturbation radius of the training.")
+    ] = None,
+    flowpipe: Annotated[
+        int | None, typer.Option(metavar="STEPS", help="Steps of a second phase through the reachable sets; default 0.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(metavar="FILE", help="Options as YAML; see docs/train.md.")] = None,
+    assignments: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Any other option; several times.")
+    ] = None,
+    preset: Annotated[Preset | None, typer.Option(help="Weights: tuned for the specification, or the paper's.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="Of the run's folder.")] = None,
+    runs: Annotated[Path, typer.Option(metavar="DIR", help="Where runs are.")] = Path("runs"),
+    resume: Annotated[Path | None, typer.Option(metavar="RUN", help="Go on with a run that was stopped.")] = None,
+    until_verified: Annotated[
+        bool, typer.Option("--until-verified", help="Further rounds until the policy verifies or --timeout ends.")
+    ] = False,
+    timeout: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="With --until-verified: begin no further round after that.")
+    ] = None,
+    device: Annotated[Device | None, typer.Option(help="Default cpu.")] = None,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> int:
+    """Train policies for a specification, export them as ONNX, and verify them.
+
+    With --until-verified the exit code is that of the best policy's verdict; otherwise 0.
+    """
+    from .specs.errors import UsageError
+
+    _require_training()
+    _stop_after(timeout)
+    if timeout is not None and not until_verified:
+        raise UsageError("is for --until-verified", where="--timeout", remedy="leave it out, or add --until-verified")
+    values: dict[str, Any] = {
+        "algorithm": algorithm,
+        "base": base,
+        "seeds": seeds,
+        "first_seed": first_seed,
+        "episodes": episodes,
+        "epsilon": epsilon,
+        "flowpipe.steps": flowpipe,
+        "device": device,
+    }
+    given = {key: str(value) if isinstance(value, StrEnum) else value for key, value in values.items()}
+    given = {key: value for key, value in given.items() if value is not None}
+    from .train import launch
+    from .train.configuration import read_assignment
+    from .train.run_folder import RunFolder
+    from .verify.interruption import interruptible
+
+    given |= dict(read_assignment(text) for text in assignments or ())
+    if resume is None:
+        if spec is None:
+            from .specs.reader import shipped_specifications
+
+            names = ", ".join(shipped_specifications())
+            raise UsageError("a specification is required", where="--spec", remedy=f"a file, or a shipped one: {names}")
+        run = launch.create_run(
+            spec, given, name=name, folder=runs, file=config, preset=None if preset is None else preset.value
+        )
+    else:
+        if given or spec is not None or config is not None or preset is not None or name is not None:
+            raise UsageError("a run goes on as it began", where="--resume", remedy="give --resume RUN alone")
+        run = RunFolder.open(resume)
+    if not quiet:
+        _tell(f"run {run.path}")
+    with interruptible(timeout) as deadline:
+        try:
+            outcome = launch.run_training(run, deadline, until_verified=until_verified, quiet=quiet, tell=_tell)
+        except launch.Interrupted:
+            _tell(f"setrl: stopped; go on with: setrl train --resume {run.path}")
+            return ABORTED
+    if as_json:
+        _print_json(launch.outcome_to_json(run, outcome))
+    else:
+        _say(*launch.outcome_lines(run, outcome))
+    return outcome.results[outcome.best].verdict.exit_code if until_verified else OK
+
+
+def _require_training() -> None:
+    """The extra that only trainers need, before anything is read."""
+    from importlib.util import find_spec
+
+    from .specs.errors import UsageError
+
+    missing = [module for module in ("torch", "safetensors", "gymnasium", "tensorboard") if find_spec(module) is None]
+    if missing:
+        raise UsageError(
+            f"training needs {', '.join(missing)}, which is not installed",
+            where="train",
+            remedy="install the extra: pip install 'setrl[train]'",
+        )
+
+
+@app.command(short_help="What trained policies are worth: V(s0), attacks, certified radius.")
+def evaluate(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.", show_default=False)],
+    epsilon: Annotated[
+        str | None, typer.Option(metavar="FIRST:LAST:STEP", help="Radii; default: those tuned for the specification.")
+    ] = None,
+    no_certify: Annotated[bool, typer.Option("--no-certify", help="Do not search the certified radius.")] = False,
+    as_json: JsonOption = False,
+    csv: CsvOption = None,
+    plot: PlotOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Evaluate a run's policies: V(s0) over radii, returns under attack, the certified radius, collapse.
+
+    The table goes to stdout; evaluation.csv and evaluation.png are written into the run, or where you say.
+    """
+    _require_training()
+    radii = _radii(epsilon)
+    csv, plot = csv or run / "evaluation.csv", plot or run / "evaluation.png"
+    from .train import launch
+    from .train.run_folder import RunFolder
+
+    RunFolder.open(run)
+    _require_outputs(plot=plot, csv=csv)
+    from .train.evaluation_report import evaluation_csv, evaluation_lines, evaluation_to_json
+    from .train.plot_evaluation import plot_evaluation
+    from .verify.interruption import share_bar
+
+    with share_bar(not quiet) as progress:
+        found = launch.evaluate_run(run, radii, certify=not no_certify, progress=progress)
+    if as_json:
+        _print_json(evaluation_to_json(found))
+    else:
+        _say(*evaluation_lines(found))
+    _write(csv, evaluation_csv(found), quiet)
+    plot_evaluation(found, str(plot))
+    _wrote(plot, quiet)
+    return OK
+
+
 @app.command(short_help="Print a commented specification to fill in.")
 def init(
     plant: Annotated[str, typer.Argument(metavar="PLANT", help="A shipped plant's name, or a plant file.")],

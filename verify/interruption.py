@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -71,6 +71,28 @@ class Watcher:
 @contextmanager
 def progress_bar(wanted: bool) -> Iterator[Watcher | None]:
     """What draws progress on stderr; None where nobody watches."""
+    with _bar(wanted, "first cells") as found:
+        yield None if found is None else Watcher(*found)
+
+
+@contextmanager
+def share_bar(wanted: bool) -> Iterator[Callable[[int, int, str], None] | None]:
+    """What draws progress in parts on stderr, told how many are done, how many there are, and what comes next."""
+    with _bar(wanted, "") as found:
+        if found is None:
+            yield None
+            return
+        bar, task = found
+
+        def show(done: int, parts: int, words: str) -> None:
+            bar.update(task, completed=done / max(parts, 1), description=words)
+
+        yield show
+
+
+@contextmanager
+def _bar(wanted: bool, text: str) -> Iterator[tuple[Any, Any] | None]:
+    """A bar of rich and its task, from 0 to 1; None where stderr is no terminal."""
     if not (wanted and sys.stderr.isatty()):
         yield None
         return
@@ -79,4 +101,4 @@ def progress_bar(wanted: bool) -> Iterator[Watcher | None]:
 
     columns = (BarColumn(), TextColumn("{task.percentage:>5.1f} %"), TextColumn("{task.description}"))
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
-        yield Watcher(bar, bar.add_task("first cells", total=1.0))
+        yield bar, bar.add_task(text, total=1.0)
