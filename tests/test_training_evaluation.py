@@ -371,6 +371,15 @@ def test_the_table_names_every_radius_seed_and_collapse(evaluation: Evaluation) 
     ):
         assert word in text, word
     assert "its action takes 0.1 %" in text
+    certified = (F(3, 10), F(1, 5), None, None)
+    shown = evaluation_lines(replace(evaluation, certified=certified))
+    seeds = {line.split()[0]: line for line in shown if line.startswith(("3 ", "4 ", "5 ", "median "))}
+    assert (
+        ">= 0.3" in seeds["3"]
+        and seeds["4"].split()[-1] == "0.2"
+        and "none" in seeds["5"]
+        and "none" in seeds["median"]
+    )
     table = [line.split() for line in text.splitlines() if line.startswith("0.3 ")]
     assert float(table[0][1]) <= float(np.median(evaluation.verified.discounted[:, 2]))
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..models.sampling import inner_bounds
 from ..models.simulation import Trajectories
 from ..specs.exact import signed_text
-from ..verify.wording import number
+from ..verify.wording import at_least, number
 from .attacked_returns import Agents, Returns, constant_actions
 from .networks import forward
 from .task import Task
@@ -111,8 +111,9 @@ def collapses(
             change = float((curve[small] - curve[large]) / max(abs(curve[small]), np.finfo(float).tiny))
             if change <= FLAT and curve[small] < best:
                 reasons.append(
-                    f"V(s0) is flat, {number(curve[small])} at {signed_text(radii[small])} and {number(curve[large])} "
-                    f"at {signed_text(radii[large])}, below the {number(best)} of a constant action"
+                    f"V(s0) is flat, {at_least(curve[small])} at {signed_text(radii[small])} and "
+                    f"{at_least(curve[large])} at {signed_text(radii[large])}, below the {number(best)} of a constant "
+                    "action"
                 )
         found.append(Collapse(span, states, change, best, tuple(reasons)))
     return tuple(found)

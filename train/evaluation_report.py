@@ -54,7 +54,7 @@ def seed_table(evaluation: Evaluation) -> list[str]:
         values = [at_least(float(evaluation.verified.discounted[position, end])) for end in ends]
         word = "COLLAPSED" if evaluation.collapses[position].collapsed else ""
         nominal = number(float(evaluation.nominal.discounted[position]))
-        rows.append((str(seed), nominal, *values, certified_text(evaluation, position), word))
+        rows.append((str(seed), nominal, *values, _searched_text(evaluation, position), word))
     found = summary(evaluation.nominal.discounted)
     medians = [at_least(float(np.median(evaluation.verified.discounted[:, end]))) for end in ends]
     rows.append(("median", number(found.median), *medians, _median_radius(evaluation), ""))
@@ -150,6 +150,12 @@ def _pair(discounted: Any, undiscounted: Any) -> dict[str, Any]:
 
 def _float(radius: Fraction | None) -> float | None:
     return None if radius is None else float(radius)
+
+
+def _searched_text(evaluation: Evaluation, position: int) -> str:
+    """The certified radius; the grid's last one is where the search ended, not the policy's limit."""
+    text = certified_text(evaluation, position)
+    return f">= {text}" if evaluation.certified[position] == max(evaluation.radii) else text
 
 
 def _median_radius(evaluation: Evaluation) -> str:
