@@ -36,7 +36,7 @@ EVALUATE_EVERY = 20
 """Steps between two evaluations by the verifier."""
 RADIUS_FACTOR = 5.0
 """Largest radius where the options leave it open, in units of the specification's."""
-AT_START = 4
+AT_START = 2
 """One pair in so many starts from the specification's initial set, the others from the box of training starts. Margins
 are asked of the initial set alone: a requirement says nothing about other starts."""
 ROOM = 0.1
