@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .networks import Layout, Tensor, backward, forward, input_gradient, trace
+from .networks import Layout, Tensor, backward, forward, input_gradient, pack, trace
 from .set_propagation import Enclosure, enclose, merged, set_gradient, weights_of_merged
 
 
@@ -100,7 +100,7 @@ def point_critic(networks: Networks, inputs: Tensor, y: Tensor, gradient: Tensor
     inputs, y = _per_critic(networks, inputs, y)
     kept = trace(networks.critic_layout, networks.critic, inputs)
     error = kept.output - y
-    backward(networks.critic_layout, networks.critic, kept, error / y.shape[1], gradient)
+    pack(backward(networks.critic_layout, networks.critic, kept, error / y.shape[1]), gradient)
     return 0.5 * error.square().mean((1, 2))
 
 
@@ -113,7 +113,7 @@ def point_actor(networks: Networks, x: Tensor, gradient: Tensor) -> Tensor:
     """Gradient of the point actor's loss at observations (S, B, n), into `gradient` (S, P); the loss, shape (S,)."""
     kept = trace(networks.actor_layout, networks.actor, x)
     value, slope = _climb(networks, x, kept.output)
-    backward(networks.actor_layout, networks.actor, kept, slope, gradient)
+    pack(backward(networks.actor_layout, networks.actor, kept, slope), gradient)
     return -value.mean((1, 2))
 
 
@@ -156,7 +156,7 @@ def set_critic(
     weight = volume_weight(found, penalty).mT / batch
     shared = found.shared.sign() * weight[:, :, None]
     private = [part.sign() * weight[..., None] for part in found.private]
-    set_gradient(layout, networks.critic, found, error / batch, shared, private, gradient)
+    pack(set_gradient(layout, networks.critic, found, error / batch, shared, private), gradient)
     return 0.5 * error.square().mean((1, 2)) + penalty.weight * _volume(found, penalty)
 
 
@@ -218,7 +218,7 @@ def set_actor(networks: Networks, x: Tensor, rows: Tensor, penalty: Penalty, ome
         shared = shared + other
         private = [mine + its for mine, its in zip(private, others, strict=True)]
         volume = volume + (1.0 - omega) * _volume(judged, penalty)
-    set_gradient(layout, networks.actor, found, slope, shared, private, gradient)
+    pack(set_gradient(layout, networks.actor, found, slope, shared, private), gradient)
     return penalty.weight * volume - value.mean((1, 2))
 
 

@@ -124,17 +124,22 @@ def trace(layout: Layout, flat: Tensor, x: Tensor) -> Trace:
     return Trace(inputs, slopes, x, 1.0 - x.square())
 
 
-def backward(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor, gradient: Tensor) -> None:
-    """Gradient of ``sum(delta * output)`` with respect to the parameters, written into `gradient` (S, P)."""
+def backward(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor) -> list[Pair]:
+    """Gradient of ``sum(delta * output)`` with respect to every layer's weight and bias."""
     if kept.final is not None:
         delta = delta * kept.final
-    pairs, into = layout.views(flat), layout.views(gradient)
+    pairs = layout.views(flat)
+    found: list[Pair] = []
     for k in range(len(pairs) - 1, -1, -1):
-        weight, bias = into[k]
-        torch.bmm(delta.mT, kept.inputs[k], out=weight)
-        torch.sum(delta, 1, out=bias)
+        found.append((torch.bmm(delta.mT, kept.inputs[k]), delta.sum(1)))
         if k:
             delta = torch.bmm(delta, pairs[k][0]).mul_(kept.slopes[k - 1])
+    return found[::-1]
+
+
+def pack(pairs: list[Pair], gradient: Tensor) -> None:
+    """Write what `backward` found into a flat tensor (S, P); products straight into its views would run seed by seed."""
+    torch.cat([part.flatten(1) for pair in pairs for part in pair], 1, out=gradient)
 
 
 def input_gradient(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor) -> Tensor:

@@ -166,9 +166,8 @@ def set_gradient(
     delta: Tensor,
     shared: Tensor,
     private: Sequence[Tensor],
-    gradient: Tensor,
-) -> None:
-    """Gradient of ``sum(delta * center) + sum(weights * columns)`` with detached relaxations, into `gradient` (S, P).
+) -> list[Pair]:
+    """Gradient of ``sum(delta * center) + sum(weights * columns)`` with detached relaxations, by layer.
 
     Parameters
     ----------
@@ -180,12 +179,14 @@ def set_gradient(
         Weights of the columns `found.shared`.
     private : sequence of Tensor, shape (S, m, B, width_k)
         Weights of the columns `found.private`. Those of `found.last` are constants: they have no gradient.
-    gradient : Tensor, shape (S, P)
-        Overwritten.
+
+    Returns
+    -------
+    list of (Tensor, Tensor)
+        As `networks.backward`.
     """
-    backward(layout, flat, found.kept, delta, gradient)
+    gradient = backward(layout, flat, found.kept, delta)
     *hidden, _ = layout.views(flat)
-    into = [weight for weight, _ in layout.views(gradient)]
     if found.kept.final is not None:
         final = found.kept.final.mT
         shared = shared * final[:, :, None]
@@ -198,10 +199,11 @@ def set_gradient(
     for k, (w, _) in enumerate(hidden):
         slope = found.slopes[k][:, None]
         vector = found.coefficients[k] * slope
-        into[k].baddbmm_(vector.flatten(1, 2).mT, combined.flatten(1, 2))
+        gradient[k][0].baddbmm_(vector.flatten(1, 2).mT, combined.flatten(1, 2))
         combined = torch.bmm(combined.flatten(1, 2), w.mT).unflatten(1, combined.shape[1:3])
         combined = torch.addcmul(private[k] * found.errors[k][:, None], combined, slope)
-    into[-1].add_(combined.sum(2))
+    gradient[-1][0].add_(combined.sum(2))
+    return gradient
 
 
 def merged(found: Enclosure) -> Tensor:
