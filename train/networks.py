@@ -138,7 +138,7 @@ def backward(layout: Layout, flat: Tensor, kept: Trace, delta: Tensor) -> list[P
 
 
 def pack(pairs: list[Pair], gradient: Tensor) -> None:
-    """Write what `backward` found into a flat tensor (S, P); products straight into its views would run seed by seed."""
+    """Write what `backward` found into a flat tensor (S, P); bmm straight into its views would run seed by seed."""
     torch.cat([part.flatten(1) for pair in pairs for part in pair], 1, out=gradient)
 
 

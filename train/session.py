@@ -6,6 +6,7 @@ the files of an undisturbed one.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -315,6 +316,8 @@ def require_trainable(task: Task, options: TrainingOptions) -> None:
     """
     if options.device == "cuda" and not torch.cuda.is_available():
         raise UsageError("no CUDA device is available", where="device", remedy="leave --device out")
+    if options.compile and not any(shutil.which(name) for name in ("c++", "g++", "clang++")):
+        raise UsageError("no C++ compiler was found", where="compile", remedy="install g++, or leave compile out")
     if options.flowpipe.steps:
         layout = Layout((task.inputs, *options.hidden, task.actions), True)
         none = torch.zeros((1, layout.parameters))

@@ -89,6 +89,10 @@ class Trainer:
         self.updates = np.zeros(len(self.seeds), dtype=np.int64)
         self._actor_gradient = torch.zeros_like(actor)
         self._critic_gradient = torch.zeros_like(critic)
+        # gradients are most of an update, and the only part whose shapes and branches never change
+        self._regress, self._climb = self._critic_loss, self._actor_loss
+        if options.compile:
+            self._regress, self._climb = (torch.compile(f, dynamic=False) for f in (self._regress, self._climb))
 
     @property
     def actor(self) -> Tensor:
@@ -189,21 +193,28 @@ class Trainer:
     def _losses(
         self, batch: Transitions, smoothing: Tensor | None, ready: Mask, delayed: Mask
     ) -> tuple[Tensor, Tensor]:
-        networks, algorithm = self.networks, self.algorithm
-        y = targets(networks, batch.following, batch.reward, batch.terminal, self.discount, smoothing)
-        critic_loss = algorithm.critic(networks, batch, y, self._critic_gradient)
+        networks = self.networks
+        critic_loss = self._regress(batch, smoothing)
         count = networks.critics
         self.critic_adam.step(self._critic_gradient, ready.repeated(count, self.actor))
         if count > 1:
             critic_loss = critic_loss.unflatten(0, (count, -1)).mean(0)
         if not delayed.any:
             return critic_loss, torch.zeros_like(critic_loss)
-        actor_loss = algorithm.actor(networks, batch, self._actor_gradient)
+        actor_loss = self._climb(batch)
         self.actor_adam.step(self._actor_gradient, delayed)
         share = self.options.target_update
         soft_update(networks.target_critic, networks.critic, share, delayed.repeated(count, self.actor))
         soft_update(networks.target_actor, networks.actor, share, delayed)
         return critic_loss, actor_loss
+
+    def _critic_loss(self, batch: Transitions, smoothing: Tensor | None) -> Tensor:
+        networks = self.networks
+        y = targets(networks, batch.following, batch.reward, batch.terminal, self.discount, smoothing)
+        return self.algorithm.critic(networks, batch, y, self._critic_gradient)
+
+    def _actor_loss(self, batch: Transitions) -> Tensor:
+        return self.algorithm.actor(self.networks, batch, self._actor_gradient)
 
     def _parts(self) -> dict[str, Adam | Replay]:
         return {"actor_adam": self.actor_adam, "critic_adam": self.critic_adam, "replay": self.replay}
