@@ -545,6 +545,9 @@ def train(
     name: Annotated[str | None, typer.Option(metavar="NAME", help="Of the run's folder.")] = None,
     runs: Annotated[Path, typer.Option(metavar="DIR", help="Where runs are.")] = Path("runs"),
     resume: Annotated[Path | None, typer.Option(metavar="RUN", help="Go on with a run that was stopped.")] = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN", help="Begin with that run's policies; for --flowpipe.")
+    ] = None,
     until_verified: Annotated[
         bool, typer.Option("--until-verified", help="Further rounds until the policy verifies or --timeout ends.")
     ] = False,
@@ -590,10 +593,16 @@ def train(
             names = ", ".join(shipped_specifications())
             raise UsageError("a specification is required", where="--spec", remedy=f"a file, or a shipped one: {names}")
         run = launch.create_run(
-            spec, given, name=name, folder=runs, file=config, preset=None if preset is None else preset.value
+            spec,
+            given,
+            name=name,
+            folder=runs,
+            file=config,
+            preset=None if preset is None else preset.value,
+            source=source,
         )
     else:
-        if given or spec is not None or config is not None or preset is not None or name is not None:
+        if given or any(value is not None for value in (spec, config, preset, name, source)):
             raise UsageError("a run goes on as it began", where="--resume", remedy="give --resume RUN alone")
         run = RunFolder.open(resume)
     if not quiet:

@@ -12,12 +12,13 @@ from ..models.onnx_reader import read_policy
 from ..specs.errors import InputError, UsageError
 from ..specs.reader import find_specification, read_specification
 from ..verify.deadline import Deadline
+from . import checkpoints
 from .configuration import configure
 from .evaluation import Evaluation, EvaluationOptions, evaluate
-from .options import plain
+from .options import TrainingOptions, plain
 from .progress import training_progress
 from .run_folder import RunFolder
-from .session import Interrupted, Outcome, Session, Tell, critics_of, require_trainable
+from .session import FIRST, Interrupted, Outcome, Session, Tell, critics_of, require_trainable
 from .task import start_bounds, task_of
 
 
@@ -29,6 +30,7 @@ def create_run(
     folder: Path = Path("runs"),
     file: Path | None = None,
     preset: str | None = None,
+    source: Path | None = None,
 ) -> RunFolder:
     """Check everything, then make the folder of a new run.
 
@@ -43,6 +45,9 @@ def create_run(
     folder : Path
     file, preset
         See `configuration.configure`.
+    source : Path, optional
+        A finished run whose best policies and critics are what this one begins with, seed by seed; then it has no
+        episodes of its own unless `given` says so.
 
     Returns
     -------
@@ -54,8 +59,11 @@ def create_run(
         Before anything is written.
     """
     specification = read_specification(find_specification(spec))
+    if source is not None:
+        given = {**inherited(source), "episodes": 0, **given}
     configuration = configure(specification, given, file=file, preset=preset)
     options, start = configuration.options, configuration.start
+    first = None if source is None else first_policies(source, options)
     task = task_of(specification, None if start is None else start_bounds(start))
     require_trainable(task, options)
     if name is None:
@@ -68,7 +76,40 @@ def create_run(
             f"a plain name is required, received {name!r}", where="--name", remedy="use --runs for folders"
         )
     content = {"options": plain(options), "start": start, "radii": list(configuration.radii)}
-    return RunFolder.create(folder / name, content, specification)
+    run = RunFolder.create(folder / name, content, specification)
+    if first is not None:
+        checkpoints.save(run.path / FIRST, first, {"from": Path(source or "").name})
+    return run
+
+
+def inherited(source: Path) -> dict[str, Any]:
+    """What a run has in common with the one that it begins with."""
+    options = RunFolder.open(source).options()
+    names = ("algorithm", "base", "seeds", "first_seed", "hidden", "precision")
+    return {name: list(value) if isinstance(value := getattr(options, name), tuple) else value for name in names}
+
+
+def first_policies(source: Path, options: TrainingOptions) -> dict[str, Any]:
+    """Best policies and critics of a run, by name.
+
+    Raises
+    ------
+    SetrlError
+        The run has none, or networks or seeds of another kind.
+    """
+    run = RunFolder.open(source)
+    if not checkpoints.stored(run.checkpoints):
+        raise InputError("the run has no checkpoint", where=str(source), remedy="finish it: setrl train --resume RUN")
+    theirs = run.options()
+    for name in ("hidden", "base", "seed_numbers", "precision"):
+        if getattr(theirs, name) != getattr(options, name):
+            raise UsageError(
+                f"the run has {getattr(theirs, name)}, this one would have {getattr(options, name)}",
+                where=f"--from {source}: {name}",
+                remedy="leave the option out",
+            )
+    tensors, _, _ = checkpoints.load(run.checkpoints)
+    return {name: tensors[name] for name in ("best.actor", "best.critic")}
 
 
 def run_training(

@@ -26,7 +26,7 @@ class FlowpipeOptions:
         Gradient steps; 0: no second phase.
     objective : {"value", "margin", "both"}
     epsilon : float or None
-        Largest perturbation radius; None: five times the training's, at most the largest one of `validation`.
+        Largest perturbation radius; None: five times the specification's.
     pairs : int
         Pairs of a start and a radius per step and seed.
     learning_rate, final_learning_rate : float
@@ -39,7 +39,7 @@ class FlowpipeOptions:
     objective: Literal["value", "margin", "both"] = "value"
     epsilon: float | None = None
     pairs: int = 8
-    learning_rate: float = 1e-3
+    learning_rate: float = 2e-3
     final_learning_rate: float = 1e-4
     clip: float = 1.0
 

@@ -41,6 +41,8 @@ Array = NDArray[np.float64]
 Stop = Callable[[], bool]
 Tell = Callable[[str], None]
 
+FIRST = "first"
+"""Folder of a run that begins with another one's policies."""
 EPISODES, SETS, DONE = "episodes", "flowpipe", "done"
 """Phases of a run."""
 ROUND_STEPS = 100
@@ -107,6 +109,15 @@ class Session:
         self._restore()
 
     def _restore(self) -> None:
+        first = self.run.path / FIRST
+        if checkpoints.stored(first):
+            tensors, _, _ = checkpoints.load(first, tell=self.tell)
+            networks = self.trainer.networks
+            for online, target in (("actor", "target_actor"), ("critic", "target_critic")):
+                given = tensors[f"best.{online}"]
+                for name in (online, target):
+                    getattr(networks, name)[: len(given)] = given
+            self.best_actor, self.best_critic = tensors["best.actor"], tensors["best.critic"]
         if not checkpoints.stored(self.run.checkpoints):
             return
         tensors, numbers, _ = checkpoints.load(self.run.checkpoints, tell=self.tell)
@@ -171,6 +182,8 @@ class Session:
         curves = LearningCurves(self.run.curves, self.options.seed_numbers, completed=trainer.episode)
         events = EventWriter(self.run.events, self.options.seed_numbers, completed=trainer.episode)
         self.progress.begin(options.episodes, "episode", trainer.episode)
+        if trainer.episode == 0 and not np.isfinite(self.best).any():
+            self._validate()  # what it begins with is never lost
         try:
             while trainer.episode < options.episodes:
                 statistics = trainer.run_episode()
