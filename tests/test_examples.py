@@ -26,3 +26,13 @@ def test_an_example_ends_with_its_verdict(example: Path, tmp_path: Path) -> None
 
 def test_there_are_examples() -> None:
     assert EXAMPLES
+
+
+def test_the_hopper_example_trains_any_environment_of_gymnasium() -> None:
+    """Pendulum-v1 stands for Hopper, which needs MuJoCo."""
+    command = [sys.executable, "-W", "error", str(ROOT / "examples" / "train_hopper.py"), "1", "sa-pc", "Pendulum-v1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / ".src")}
+    outcome = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert outcome.returncode == 0, outcome.stderr
+    assert "episode 1: 200 steps" in outcome.stdout
+    assert "mad: worst of" in outcome.stdout
