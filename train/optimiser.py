@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -62,18 +64,15 @@ class Adam:
         self.steps += active.rows
         first, second = 1.0 - MEMORY[0], 1.0 - MEMORY[1]
         steps = np.maximum(self.steps, 1)
-        rate = self.learning_rate / (1.0 - MEMORY[0] ** steps)
-        share = 1.0 / np.sqrt(1.0 - MEMORY[1] ** steps)
-        if active.all and (steps == steps[0]).all():
-            self.first.lerp_(gradient, first)
-            self.second.mul_(MEMORY[1]).addcmul_(gradient, gradient, value=second)
-            size = self.second.sqrt().mul_(float(share[0])).add_(SMALLEST)
-            p.addcdiv_(self.first, size, value=-float(rate[0]))
-            return
-        self.first.lerp_(gradient, first * active.column)
-        self.second.lerp_(gradient.square(), second * active.column)
-        size = self.second.sqrt().mul_(torch.from_numpy(share[:, None]).to(p)).add_(SMALLEST)
-        p.addcdiv_(self.first * (torch.from_numpy(rate[:, None]).to(p) * active.column), size, value=-1.0)
+        scales = self.learning_rate / (1.0 - MEMORY[0] ** steps), 1.0 / np.sqrt(1.0 - MEMORY[1] ** steps)
+        # numbers where all seeds are alike, else columns: the same operations, rounded alike
+        alike = active.all and bool((steps == steps[0]).all())
+        moved: Any = 1.0 if alike else active.column
+        rate, share = (float(x[0]) if alike else torch.from_numpy(x[:, None]).to(p) for x in scales)
+        self.first.lerp_(gradient, first * moved)
+        self.second.lerp_(gradient.square(), second * moved)
+        size = self.second.sqrt().mul_(share).add_(SMALLEST)
+        p.addcdiv_(self.first * (rate * moved), size, value=-1.0)
 
     def tensors(self) -> dict[str, Tensor]:
         """The whole state."""
