@@ -261,16 +261,14 @@ def estimate(activation: Activation, lower: Any, upper: Any, xp: Any) -> Relaxat
         return Relaxation(slope, error, error)
     assert activation.kind == "tanh", activation.kind
     low_value, high_value = xp.tanh(lower), xp.tanh(upper)
-    ends = 1.0 - xp.maximum(low_value * low_value, high_value * high_value)  # the smaller slope of the two ends
-    slopes = xp.clip(xp.stack([(high_value - low_value) / width, ends]), min=0.0, max=1.0)
+    # the chord, never worse than a slope of the ends; a point has no chord, there the derivative
+    chord = (high_value - low_value) / width
+    slope = xp.clip(xp.where(upper > lower, chord, 1.0 - low_value * high_value), min=0.0, max=1.0)
     # where the derivative is the slope, and at -place
-    place = xp.atanh(xp.clip(xp.sqrt(1.0 - slopes), max=1.0 - float(limits.eps)))
-    inside = xp.stack([xp.minimum(xp.maximum(x, lower), upper) for x in (place, -place)])
-    inner = xp.tanh(inside) - slopes * inside
-    first, last = low_value - slopes * lower, high_value - slopes * upper
-    low = xp.minimum(xp.minimum(first, last), xp.minimum(inner[0, ...], inner[1, ...]))
-    high = xp.maximum(xp.maximum(first, last), xp.maximum(inner[0, ...], inner[1, ...]))
-    error = 0.5 * (high - low)
-    chord = error[0, ...] < error[1, ...]  # a point has no chord: there the slope of the ends, the derivative
-    found = xp.where(chord, xp.stack([slopes, low, high])[:, 0, ...], xp.stack([slopes, low, high])[:, 1, ...])
-    return Relaxation(found[0, ...], 0.5 * (found[1, ...] + found[2, ...]), 0.5 * (found[2, ...] - found[1, ...]))
+    place = xp.atanh(xp.clip(xp.sqrt(1.0 - slope), max=1.0 - float(limits.eps)))
+    points = xp.stack([lower, upper, _between(place, lower, upper, xp), _between(-place, lower, upper, xp)])
+    residual = xp.tanh(points) - slope * points
+    ends, inner = residual[:2, ...], residual[2:, ...]
+    low, high = xp.minimum(ends, inner), xp.maximum(ends, inner)
+    low, high = xp.minimum(low[0, ...], low[1, ...]), xp.maximum(high[0, ...], high[1, ...])
+    return Relaxation(slope, 0.5 * (low + high), 0.5 * (high - low))
