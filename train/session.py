@@ -101,10 +101,11 @@ class Session:
         if radius is None:
             radius = self.task.epsilon if self.options.epsilon is None else self.options.epsilon
         self.radius = Fraction(repr(radius))
+        self.radii = (self.radius, Fraction(0))
         self.trainer = Trainer(make_lanes(self.task, self.options), self.options)
         self.phase, self.rounds = EPISODES, 0
         self.best_actor, self.best_critic = self.trainer.actor.clone(), self.trainer.critic.clone()
-        self.best = np.full(len(self.options.seed_numbers), -np.inf)
+        self.best = np.full((len(self.options.seed_numbers), 2), -np.inf)
         self.sets: FlowpipeTrainer | None = None
         self._restore()
 
@@ -124,7 +125,7 @@ class Session:
         self.trainer.restore(_part(tensors, "trainer."), numbers["trainer"])
         self.phase, self.rounds = numbers["phase"], numbers["rounds"]
         self.best_actor, self.best_critic = tensors["best.actor"], tensors["best.critic"]
-        self.best = np.array([-np.inf if value is None else value for value in numbers["best"]])
+        self.best = np.array(numbers["best"])
         if "sets" in numbers:
             self.sets = self._sets(tensors["sets_start"], self._set_options(self.rounds))
             self.sets.restore(_part(tensors, "sets."), numbers["sets"])
@@ -136,7 +137,7 @@ class Session:
             "trainer": self.trainer.numbers(),
             "phase": self.phase,
             "rounds": self.rounds,
-            "best": [float(value) if np.isfinite(value) else None for value in self.best],
+            "best": self.best.tolist(),
         }
         if self.sets is not None:
             tensors |= {f"sets.{name}": value for name, value in self.sets.tensors().items()}
@@ -146,14 +147,18 @@ class Session:
 
     def values(self, actor: Tensor) -> Array:
         """V(s0) of policies (S, P) at the validation radius, by the verifier; -inf where there is none."""
-        found = []
-        for row in actor:
+        return self._verified(actor)[:, 0]
+
+    def _verified(self, actor: Tensor) -> Array:
+        """V(s0) at the validation radius and without perturbation, (S, 2)."""
+        found = np.full((len(actor), 2), -np.inf)
+        for row, values in zip(actor, found, strict=True):
             try:
                 policy = as_policy(self.trainer.actor_layout, row, self.options.precision)
-                found.append(float(verified_performance(self.task, policy, [self.radius]).discounted[0]))
+                values[:] = verified_performance(self.task, policy, self.radii).discounted
             except SetrlError:  # weights that are not finite are no policy
-                found.append(-np.inf)
-        return np.array(found)
+                continue
+        return found
 
     def train(self) -> Outcome:
         """Run what is left of the run: episodes, reachable sets, reports."""
@@ -212,14 +217,18 @@ class Session:
             events.close()
 
     def _validate(self) -> Array:
-        """V of every seed now; those that are better than ever are kept."""
-        values = self.values(self.trainer.actor)
-        better = np.flatnonzero(values > self.best)
+        """V of every seed now; those that are better than ever are kept.
+
+        Where nothing is proved at the validation radius, what is proved without perturbation decides.
+        """
+        values, best = self._verified(self.trainer.actor), self.best
+        higher = values > best
+        better = np.flatnonzero(higher[:, 0] | ((values[:, 0] == best[:, 0]) & higher[:, 1]))
         self.best_actor[better] = self.trainer.actor[better]
         self.best_critic[better] = self.trainer.critic[better]
         self.best[better] = values[better]
-        self.progress.validated(values)
-        return values
+        self.progress.validated(values[:, 0])
+        return np.asarray(values[:, 0])
 
     def _set_options(self, rounds: int) -> FlowpipeOptions:
         """Options of a round: the run's own first, then margins too, at the radius that has to verify."""
@@ -267,13 +276,13 @@ class Session:
         finally:
             curves.close()
         self.best_actor = sets.best.clone()
-        self.best = self.values(self.best_actor)
+        self.best = self._verified(self.best_actor)
 
     def report(self) -> Outcome:
         """Export every seed's best policy and verify it; the best one is the run's."""
         run, options = self.run, self.options
         name = f"{options.algorithm} ({options.base}) for {Path(run.specification).name}"
-        values = dict(zip(options.seed_numbers, self.best.tolist(), strict=True))
+        values = dict(zip(options.seed_numbers, self.best[:, 0].tolist(), strict=True))
         results = {}
         for seed, row in zip(options.seed_numbers, self.best_actor, strict=True):
             folder = run.seed(seed)
