@@ -138,10 +138,10 @@ def test_the_oldest_transition_is_overwritten_and_only_stored_ones_are_sampled()
     draws = np.tile(np.linspace(0.0, 1.0 - 1e-9, 64), (2, 1))
     for number in range(6):
         value = torch.full((2, 1), float(number), dtype=torch.float64)
-        replay.add([value] * 5, np.array([True, number < 3]))
+        replay.add([value] * 5, np.array([True, number < 4]))
     batch = replay.sample(draws)
     assert sorted(set(batch.observation[0].flatten().tolist())) == [2.0, 3.0, 4.0, 5.0]
-    assert sorted(set(batch.observation[1].flatten().tolist())) == [0.0, 1.0, 2.0]
+    assert sorted(set(batch.observation[1].flatten().tolist())) == [0.0, 1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.01])
