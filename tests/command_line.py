@@ -57,7 +57,7 @@ plant: quadrotor1d
 controller: {period: 0.1}
 horizon: 2.5
 initial: {z: [-4.1, -3.9], zdot: [-0.1, 0.1]}
-perturbation: {observation: 0.5}
+perturbation: {observation: 0.9}
 requirements:
   - stay: {z: [-5, 5]}
     name: altitude

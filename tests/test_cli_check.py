@@ -94,8 +94,8 @@ def test_a_check_writes_nothing(folder: Path, capsys: Any) -> None:
 
 def test_without_files_evidence_is_about_the_shipped_example(folder: Path, capsys: Any) -> None:
     assert run(capsys, "verify", "--quiet").code == 0
-    assert run(capsys, "check", "quadrotor1d-example.cert").code == 0
-    assert run(capsys, "check", "quadrotor1d-example.cert", "policy.onnx", "quadrotor1d").code == 0
+    assert run(capsys, "check", "quadrotor1d-set.cert").code == 0
+    assert run(capsys, "check", "quadrotor1d-set.cert", "policy.onnx", "quadrotor1d").code == 0
     rejected = run(capsys, "check", "policy.cert")
     assert rejected.code == 5 and "another specification" in rejected.out
 

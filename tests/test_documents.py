@@ -19,10 +19,10 @@ from typing import Any
 import pytest
 
 import setrl.cli
+from setrl.models.example import example_policy_path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-EXAMPLES = tuple((ROOT / "models").rglob("*.onnx"))
 FENCE = re.compile(r"^(?P<indent> *)```(?P<info>[^\n`]*)\n(?P<body>.*?)^(?P=indent)```\s*$", re.MULTILINE | re.DOTALL)
 EXIT = re.compile(r"#\s*exit (\d+)\s*$")
 FILE = re.compile(r"# ([\w-]+\.yaml)\n")
@@ -74,8 +74,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     work.mkdir()
     (programs / "setrl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m setrl "$@"\n')
     (programs / "setrl").chmod(0o755)
-    for policy in EXAMPLES:
-        shutil.copy(policy, work / "policy.onnx")
+    shutil.copy(example_policy_path(), work / "policy.onnx")
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setenv("PYTHONPATH", str(ROOT / ".src"))
     monkeypatch.setenv("MPLBACKEND", "Agg")

@@ -497,7 +497,7 @@ def verified(policy: Path, name: str) -> tuple[str, IntegerAnswer]:
 
 
 def test_the_shipped_example_is_accepted() -> None:
-    first, second = verified(ROOT / "models" / "policies" / "quadrotor1d-example.onnx", "quadrotor1d")
+    first, second = verified(ROOT / "models" / "policies" / "quadrotor1d-set.onnx", "quadrotor1d")
     assert not first and second == IntegerAnswer(True, "", 30, 0)
 
 

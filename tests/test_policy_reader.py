@@ -495,4 +495,4 @@ def test_competition_networks_are_read(nav_folder: Path) -> None:
 def test_the_shipped_example_is_read_and_hovers() -> None:
     policy = read_policy(example_policy_path())
     assert (policy.inputs, policy.outputs) == (2, 1) and EXAMPLE_SPECIFICATION == "quadrotor1d"
-    assert abs(policy([0.0, 0.0])[0] + 0.019) < 0.05
+    assert abs(policy([0.0, 0.0])[0] + 0.019) < 0.1

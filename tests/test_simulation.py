@@ -110,7 +110,7 @@ def test_onnxruntime_can_drive_the_simulation() -> None:
     start = center_state(loop)
     ours, deployed = simulate(loop, start), simulate(loop, start, policy=deployed_runner(loop.policy))
     assert 0 < np.abs(ours.states - deployed.states).max() < 1e-4
-    assert np.abs(ours.states[0, -1]).max() < 0.1, "the shipped example hovers at the origin"
+    assert (np.abs(ours.states[0, -1]) < [0.1, 0.5]).all(), "the shipped example hovers at the origin"
     assert -35 < returns(loop, ours)[0] < -20
 
 
