@@ -43,11 +43,14 @@ demo: env
 	@mkdir -p demo
 	$(BIN)/setrl verify --plot demo/flowpipe.png
 
+# one process per processor, each with one BLAS thread: more would wait for each other
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
+
 test: env
-	$(BIN)/pytest
+	$(PYTEST)
 
 test-slow: env
-	$(BIN)/pytest -m slow
+	$(PYTEST) -m slow
 
 check: format-check lint types contracts docstrings test
 
