@@ -104,7 +104,7 @@ class Session:
         self.radii = (self.radius, Fraction(0))
         self.trainer = Trainer(make_lanes(self.task, self.options), self.options)
         self.phase, self.rounds = EPISODES, 0
-        self.best_actor, self.best_critic = self.trainer.actor.clone(), self.trainer.critic.clone()
+        self.best_actor, self.best_critic = self.trainer.actor.cpu().clone(), self.trainer.critic.cpu().clone()
         self.best = np.full((len(self.options.seed_numbers), 2), -np.inf)
         self.sets: FlowpipeTrainer | None = None
         self._restore()
@@ -224,8 +224,8 @@ class Session:
         values, best = self._verified(self.trainer.actor), self.best
         higher = values > best
         better = np.flatnonzero(higher[:, 0] | ((values[:, 0] == best[:, 0]) & higher[:, 1]))
-        self.best_actor[better] = self.trainer.actor[better]
-        self.best_critic[better] = self.trainer.critic[better]
+        self.best_actor[better] = self.trainer.actor[better].cpu()
+        self.best_critic[better] = self.trainer.critic[better].cpu()
         self.best[better] = values[better]
         self.progress.validated(values[:, 0])
         return np.asarray(values[:, 0])
