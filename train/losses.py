@@ -163,7 +163,8 @@ def set_critic(
 def _volume(found: Enclosure, penalty: Penalty) -> Tensor:
     """Mean over the batch of ``sum_j ln(2 (radius_j + floor))``, (S,); a radius of zero counts 0."""
     size = found.radius + penalty.floor
-    return torch.where(size > 0.0, torch.log(2.0 * size.clamp(min=torch.finfo(size.dtype).tiny)), 0.0).sum(-1).mean(1)
+    logarithm = torch.log(2.0 * size.clamp(min=torch.finfo(size.dtype).tiny))  # no infinite derivative at 0
+    return torch.where(size > 0.0, logarithm, 0.0).sum(-1).mean(1)
 
 
 def volume_weight(found: Enclosure, penalty: Penalty) -> Tensor:

@@ -89,6 +89,7 @@ class Trainer:
         self.updates = np.zeros(len(self.seeds), dtype=np.int64)
         self._actor_gradient = torch.zeros_like(actor)
         self._critic_gradient = torch.zeros_like(critic)
+        self._everyone = Mask(np.ones(len(self.seeds), dtype=np.bool_), actor)
         # gradients are most of an update, and the only part whose shapes and branches never change
         self._regress, self._climb = self._critic_loss, self._actor_loss
         if options.compile:
@@ -130,7 +131,7 @@ class Trainer:
         x = lanes.reset(lanes.sample_starts(streams))
         active = np.ones(count, dtype=np.bool_)
         returns, steps = np.zeros(count), np.zeros(count, dtype=np.int64)
-        losses = np.zeros((2, count))
+        losses = torch.zeros((2, count), dtype=self.dtype, device=self.device)
         done = np.zeros((2, count), dtype=np.int64)
         for t in range(horizon):
             decision = self.algorithm.act(self.networks, x[:, None], attack[:, t])
@@ -146,15 +147,13 @@ class Trainer:
             steps += active
             ready = active & (self.replay.stored >= options.warmup)
             if ready.any():
-                found, happened = self._update(draws[:, t], None if smoothing is None else smoothing[:, t], ready)
-                losses += np.where(happened, found, 0.0)
-                done += happened
+                done += self._update(draws[:, t], None if smoothing is None else smoothing[:, t], ready, losses)
             active &= ~step.ended.cpu().numpy()
             if not active.any():
                 break
             x = step.observation
         self.episode += 1
-        means = np.where(done > 0, losses / np.maximum(done, 1), np.nan)
+        means = np.where(done > 0, losses.double().cpu().numpy() / np.maximum(done, 1), np.nan)
         return EpisodeStatistics(self.episode, returns, steps, means[0], means[1])
 
     def _tensor(self, values: Array) -> Tensor:
@@ -178,35 +177,28 @@ class Trainer:
         return self._tensor(np.clip(options.smoothing * noise, -options.smoothing_clip, options.smoothing_clip))
 
     def _update(
-        self, draws: Array, smoothing: Tensor | None, ready: NDArray[np.bool_]
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """One update of the seeds that are `ready`: both losses (2, S), and where they were computed."""
-        options = self.options
+        self, draws: Array, smoothing: Tensor | None, ready: NDArray[np.bool_], losses: Tensor
+    ) -> NDArray[np.bool_]:
+        """One update of the seeds that are `ready`: adds to both losses (2, S), and says where they were computed."""
+        options, networks = self.options, self.networks
         batch = self.replay.sample(draws)
         self.updates += ready
-        delayed = ready if options.base == "ddpg" else ready & (self.updates % options.policy_delay == 0)
-        masks = [Mask(rows, self.actor) for rows in (ready, delayed)]
-        critic_loss, actor_loss = self._losses(batch, smoothing, masks[0], masks[1])
-        found = np.stack([loss.double().cpu().numpy() for loss in (critic_loss, actor_loss)])
-        return found, np.stack([ready, delayed])
-
-    def _losses(
-        self, batch: Transitions, smoothing: Tensor | None, ready: Mask, delayed: Mask
-    ) -> tuple[Tensor, Tensor]:
-        networks = self.networks
+        regressing = climbing = self._everyone if ready.all() else Mask(ready, self.actor)
+        if options.base == "td3":
+            climbing = Mask(ready & (self.updates % options.policy_delay == 0), self.actor)
+        critics = networks.critics
         critic_loss = self._regress(batch, smoothing)
-        count = networks.critics
-        self.critic_adam.step(self._critic_gradient, ready.repeated(count, self.actor))
-        if count > 1:
-            critic_loss = critic_loss.unflatten(0, (count, -1)).mean(0)
-        if not delayed.any:
-            return critic_loss, torch.zeros_like(critic_loss)
-        actor_loss = self._climb(batch)
-        self.actor_adam.step(self._actor_gradient, delayed)
-        share = self.options.target_update
-        soft_update(networks.target_critic, networks.critic, share, delayed.repeated(count, self.actor))
-        soft_update(networks.target_actor, networks.actor, share, delayed)
-        return critic_loss, actor_loss
+        self.critic_adam.step(self._critic_gradient, regressing.repeated(critics, self.actor))
+        if critics > 1:
+            critic_loss = critic_loss.unflatten(0, (critics, -1)).mean(0)
+        losses[0].addcmul_(critic_loss, regressing.column[:, 0])
+        if climbing.any:
+            losses[1].addcmul_(self._climb(batch), climbing.column[:, 0])
+            self.actor_adam.step(self._actor_gradient, climbing)
+            share = options.target_update
+            soft_update(networks.target_critic, networks.critic, share, climbing.repeated(critics, self.actor))
+            soft_update(networks.target_actor, networks.actor, share, climbing)
+        return np.stack([regressing.rows, climbing.rows])
 
     def _critic_loss(self, batch: Transitions, smoothing: Tensor | None) -> Tensor:
         networks = self.networks
