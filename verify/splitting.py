@@ -182,7 +182,9 @@ def explore(
     given_up: set[int] = set()
     while state.open_cells.size and not deadline.expired:
         cells = state.open_cells[: options.batch]
-        _run_batch(engine, initial, state, cells, observation_radii, deadline)
+        # sets that explode end as bounds that are not finite, which prove nothing
+        with np.errstate(over="ignore", invalid="ignore"):
+            _run_batch(engine, initial, state, cells, observation_radii, deadline)
         failed = cells[state.status[cells] == FAILED]
         for problem in np.unique(state.tree.problem[failed]):
             if doubt is not None and int(problem) not in doubted and not _over(deadline):
