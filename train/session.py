@@ -219,11 +219,12 @@ class Session:
     def _validate(self) -> Array:
         """V of every seed now; those that are better than ever are kept.
 
-        Where nothing is proved at the validation radius, what is proved without perturbation decides.
+        Where nothing is proved at the validation radius, what is proved without perturbation decides; where nothing is
+        proved at all, the later one is kept.
         """
         values, best = self._verified(self.trainer.actor), self.best
         higher = values > best
-        better = np.flatnonzero(higher[:, 0] | ((values[:, 0] == best[:, 0]) & higher[:, 1]))
+        better = np.flatnonzero(higher[:, 0] | ((values[:, 0] == best[:, 0]) & (values[:, 1] >= best[:, 1])))
         self.best_actor[better] = self.trainer.actor[better].cpu()
         self.best_critic[better] = self.trainer.critic[better].cpu()
         self.best[better] = values[better]
