@@ -56,7 +56,7 @@ def bind(
     UsageError
         `observation_radius` is negative or names what is not observed.
     """
-    context = Context(specification, plant or _plant(specification), policy)
+    context = Context(specification, plant or plant_of(specification), policy)
     return ClosedLoop(
         plant=context.plant,
         policy=policy,
@@ -78,7 +78,22 @@ def bind(
     )
 
 
-def _plant(specification: Specification) -> Plant:
+def plant_of(specification: Specification) -> Plant:
+    """The plant that a specification names or holds, compiled.
+
+    Parameters
+    ----------
+    specification : Specification
+
+    Returns
+    -------
+    Plant
+
+    Raises
+    ------
+    SpecificationError
+        There is no such plant, or its file is wrong; with the line of the specification that names it.
+    """
     if isinstance(specification.plant, PlantDescription):
         return compile_plant(specification.plant)
     folder = Path(specification.source).parent if specification.source else None

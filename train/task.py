@@ -6,22 +6,21 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models.binding import bind
+from ..models.binding import bind, plant_of
 from ..models.binding_context import place_of, shown
 from ..models.binding_controller import Radius, exact_number
 from ..models.closed_loop import ClosedLoop, Intervals, Plant
-from ..models.plant import compile_plant, load_plant, suggestion
+from ..models.plant import suggestion
 from ..models.policy import Activation, Affine, Policy
 from ..models.sampling import inner_bounds
 from ..models.simulation import act, derivative, observe
 from ..specs.errors import SpecificationError, UsageError
-from ..specs.specification import Bounds, PlantDescription, Specification
+from ..specs.specification import Bounds, Specification
 from .dynamics import SUBSTEPS, Discretisation
 from .streams import Streams
 
@@ -129,7 +128,7 @@ def task_of(
             where=specification.source or None,
             remedy="add reward: {weights: {STATE: 1}, discount: 0.99}",
         )
-    used = _plant(specification) if plant is None else plant
+    used = plant_of(specification) if plant is None else plant
     inputs, actions = _dimensions(specification, used)
     loop = bind(specification, _placeholder(inputs, actions), used)
     _require_reward(loop)
@@ -210,17 +209,6 @@ def sample_forces(task: Task, streams: Streams) -> Array:
 def _between(bounds: Array, shares: Array) -> Array:
     lower, upper = bounds.T
     return np.asarray(np.clip(lower + shares * (upper - lower), lower, upper))
-
-
-def _plant(specification: Specification) -> Plant:
-    if isinstance(specification.plant, PlantDescription):
-        return compile_plant(specification.plant)
-    folder = Path(specification.source).parent if specification.source else None
-    try:
-        return load_plant(specification.plant, relative_to=folder)
-    except SpecificationError as error:
-        place = place_of(specification, "plant")
-        raise (error.at(place) if place else error) from error
 
 
 def _dimensions(specification: Specification, plant: Plant) -> tuple[int, int]:
