@@ -642,6 +642,9 @@ def evaluate(
         str | None, typer.Option(metavar="FIRST:LAST:STEP", help="Radii; default: those tuned for the specification.")
     ] = None,
     no_certify: Annotated[bool, typer.Option("--no-certify", help="Do not search the certified radius.")] = False,
+    resolution: Annotated[
+        str | None, typer.Option(metavar="RADIUS", help="Of the certified radius; default 0.001.")
+    ] = None,
     as_json: JsonOption = False,
     csv: CsvOption = None,
     plot: PlotOption = None,
@@ -652,7 +655,7 @@ def evaluate(
     The table goes to stdout; evaluation.csv and evaluation.png are written into the run, or where you say.
     """
     _require_training()
-    radii = _radii(epsilon)
+    radii, finest = _radii(epsilon), _radius(resolution, "--resolution")
     csv, plot = csv or run / "evaluation.csv", plot or run / "evaluation.png"
     from .train import launch
     from .train.run_folder import RunFolder
@@ -664,7 +667,7 @@ def evaluate(
     from .verify.interruption import share_bar
 
     with share_bar(not quiet) as progress:
-        found = launch.evaluate_run(run, radii, certify=not no_certify, progress=progress)
+        found = launch.evaluate_run(run, radii, certify=not no_certify, resolution=finest, progress=progress)
     if as_json:
         _print_json(evaluation_to_json(found))
     else:
@@ -807,22 +810,22 @@ def _require_whole(flag: str, value: int, least: int, most: int) -> None:
         raise UsageError(f"received {value}", where=flag, remedy=f"use a whole number from {least} to {most}")
 
 
-def _radii(text: str | None) -> tuple[Fraction, ...]:
+def _radii(text: str | None, flag: str = "--epsilon") -> tuple[Fraction, ...]:
     from .specs.errors import InputError
     from .specs.exact import decimal_range
 
     try:
         return () if text is None else decimal_range(text)
     except InputError as error:
-        raise error.at("--epsilon") from error
+        raise error.at(flag) from error
 
 
-def _radius(text: str | None) -> Fraction | None:
+def _radius(text: str | None, flag: str = "--epsilon") -> Fraction | None:
     from .specs.errors import UsageError
 
-    radii = _radii(text)
+    radii = _radii(text, flag)
     if len(radii) > 1:
-        raise UsageError(f"one radius is required, received {text}", where="--epsilon", remedy="use setrl sweep")
+        raise UsageError(f"one radius is required, received {text}", where=flag, remedy="use setrl sweep")
     return radii[0] if radii else None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -161,7 +162,12 @@ def outcome_to_json(run: RunFolder, outcome: Outcome) -> dict[str, Any]:
 
 
 def evaluate_run(
-    path: Path, radii: Sequence[Fraction] = (), *, certify: bool = True, progress: Any = None
+    path: Path,
+    radii: Sequence[Fraction] = (),
+    *,
+    certify: bool = True,
+    resolution: Fraction | None = None,
+    progress: Any = None,
 ) -> Evaluation:
     """Evaluate the exported policies of a run.
 
@@ -173,6 +179,8 @@ def evaluate_run(
         Default: those of the specification's tuned settings, else 0 to twice the specification's radius.
     certify : bool
         Whether the certified radius is searched.
+    resolution : Fraction, optional
+        Of the certified radius.
     progress : callable, optional
         See `evaluation.evaluate`.
 
@@ -204,10 +212,11 @@ def evaluate_run(
     if not chosen:
         chosen = tuple(Fraction(repr(task.epsilon)) * step / 5 for step in range(11))
     critics = critics_of(run)
+    wanted = EvaluationOptions(chosen, certify=certify)
     return evaluate(
         task,
         [read_policy(str(file)) for file in files],
-        EvaluationOptions(chosen, certify=certify),
+        wanted if resolution is None else replace(wanted, resolution=resolution),
         seeds=options.seed_numbers,
         critic_layout=None if critics is None else critics[0],
         critic=None if critics is None else critics[1],
