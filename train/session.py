@@ -21,6 +21,7 @@ from ..models.onnx_reader import read_policy
 from ..models.onnx_writer import policy_bytes
 from ..models.policy import Policy
 from ..specs.errors import SetrlError, UsageError
+from ..specs.exact import signed_text
 from ..verify.deadline import Deadline
 from ..verify.options import Options
 from ..verify.result import Result, Verdict
@@ -294,12 +295,12 @@ class Session:
         proved = {seed for seed, result in results.items() if result.verdict is Verdict.VERIFIED}
         candidates = {seed: value for seed, value in values.items() if seed in proved} or values
         facts = {
-            "validation_epsilon": str(self.radius),
+            "validation_epsilon": signed_text(self.radius),
             "verdicts": {str(seed): result.verdict.value for seed, result in results.items()},
         }
         best = publish_best(run, candidates, {"all_values": _finite(values), **facts})
         if run.curves.is_file() and options.episodes:
-            plot_curves(read_curves(run.curves), str(run.curves_picture), name, f"V(s0) at radius {self.radius}")
+            plot_curves(read_curves(run.curves), str(run.curves_picture), name, f"V(s0) at radius {signed_text(self.radius)}")
         return Outcome(values, results, best)
 
 
