@@ -300,7 +300,8 @@ class Session:
         }
         best = publish_best(run, candidates, {"all_values": _finite(values), **facts})
         if run.curves.is_file() and options.episodes:
-            plot_curves(read_curves(run.curves), str(run.curves_picture), name, f"V(s0) at radius {signed_text(self.radius)}")
+            subtitle = f"V(s0) at radius {signed_text(self.radius)}"
+            plot_curves(read_curves(run.curves), str(run.curves_picture), name, subtitle)
         return Outcome(values, results, best)
 
 
