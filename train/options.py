@@ -1,7 +1,7 @@
 """Every option of a training run and its default: frozen dataclasses, validated when they are made.
 
-The defaults are Table 2 of the paper, except where `PAPER` differs from them: there the printed value was found to fail
-(docs/train.md says how), and `PAPER` holds the table to the letter.
+The defaults are Table 2 of the paper, except where `PAPER` differs from them: docs/train.md
+says why, and `PAPER` holds the table to the letter.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..models.onnx_reader import read_policy
 from ..models.onnx_writer import policy_bytes
 from ..models.policy import Policy
-from ..specs.errors import SetrlError, UsageError
+from ..specs.errors import UsageError
 from ..specs.exact import signed_text
 from ..verify.deadline import Deadline
 from ..verify.options import Options
@@ -154,11 +154,9 @@ class Session:
         """V(s0) at the validation radius and without perturbation, (S, 2)."""
         found = np.full((len(actor), 2), -np.inf)
         for row, values in zip(actor, found, strict=True):
-            try:
+            if torch.isfinite(row).all():  # else it is no policy
                 policy = as_policy(self.trainer.actor_layout, row, self.options.precision)
                 values[:] = verified_performance(self.task, policy, self.radii).discounted
-            except SetrlError:  # weights that are not finite are no policy
-                continue
         return found
 
     def train(self) -> Outcome:
