@@ -20,7 +20,7 @@ with warnings.catch_warnings():
     from numpydoc.docscrape import NumpyDocString
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("specs", "models", "verify", "train")
+ROOMS = ("specs", "models", "verify", "train", "commands")
 
 
 def modules() -> list[str]:

@@ -19,7 +19,7 @@ pytest.importorskip("hatchling", reason="hatchling is part of the extra `dev`")
 pytest.importorskip("build", reason="build is part of the extra `dev`")
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("models", "specs", "train", "verify")
+ROOMS = ("commands", "models", "specs", "train", "verify")
 SOURCES = {"__init__.py", "__main__.py", "cli.py", "py.typed"}
 
 

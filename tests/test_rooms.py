@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("importlinter", reason="import-linter is part of the extra `dev`")
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("specs", "models", "verify", "train")
+ROOMS = ("specs", "models", "verify", "train", "commands")
 BLOCKED = "import sys; sys.modules['torch'] = sys.modules['gymnasium'] = None; import setrl"
 
 
