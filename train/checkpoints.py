@@ -20,7 +20,7 @@ import numpy as np
 
 from ..specs.errors import InputError
 from ..specs.files import write_atomically
-from .run_folder import make_folder
+from ..specs.folders import make_folder
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..specs.errors import InputError
-from .run_folder import make_folder
+from ..specs.folders import make_folder
 
 
 class EventWriter:

@@ -59,7 +59,7 @@ def export_policy(
     InputError
         The file cannot be written.
     """
-    from .run_folder import make_folder
+    from ..specs.folders import make_folder
 
     make_folder(folder)
     for name in (CERTIFICATE, REPORT, REPORT_DATA):

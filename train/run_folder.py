@@ -17,7 +17,6 @@ Nothing in it depends on where it lies: it can be copied to another machine and 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import platform
@@ -29,8 +28,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from ..models.input_files import input_files, named_plant
 from ..specs.errors import InputError, SetrlError
 from ..specs.files import write_atomically
+from ..specs.folders import locked, unwritable
 from ..specs.reader import digest, read_plant, read_specification
 from ..specs.specification import PlantDescription, Specification
 
@@ -86,23 +87,22 @@ class RunFolder:
             There is something already, or nothing can be written there.
         """
         place = Path(path)
-        files, entries, way = _inputs(specification)
+        inputs = input_files(specification)
+        entries = {
+            "specification": {"file": inputs.specification, "sha256": specification.digest},
+            "plant": {"kind": inputs.plant_kind, "file": inputs.plant, "sha256": inputs.plant_digest},
+        }
         content = {"format": FORMAT, **configuration, **entries, "versions": versions()}
         made = _make(place)
         try:
-            for name, data in files.items():
-                target = place / INPUTS / name
-                target.parent.mkdir(parents=True, exist_ok=True)
-                write_atomically(target, data)
-            for folder in way:
-                (place / INPUTS / folder).mkdir(exist_ok=True)
+            inputs.write(place / INPUTS)
             text = json.dumps(content, indent=2, allow_nan=False) + "\n"
             write_atomically(place / CONFIGURATION, text.encode())
         except BaseException as error:
             # half a run would be in the way of the next attempt
             shutil.rmtree(place if made else place / INPUTS, ignore_errors=True)
             if isinstance(error, OSError):
-                raise _unwritable(place, error) from None
+                raise unwritable(place, error) from None
             raise
         return cls(place, json.loads(text))
 
@@ -210,7 +210,7 @@ class RunFolder:
             copy = self.path / INPUTS / plant["file"]
             if not copy.is_file() or digest(copy.read_bytes()) != plant["sha256"]:
                 raise _changed(copy)
-            if plant["kind"] != "relative" and _said(_named_plant(specification)) != _said(read_plant(copy)):
+            if plant["kind"] != "relative" and _said(named_plant(specification)) != _said(read_plant(copy)):
                 raise InputError(
                     f"the plant {specification.plant} is no longer the one of this run, which is in {copy}",
                     where=str(self.path),
@@ -232,25 +232,7 @@ class RunFolder:
         InputError
             Another process is writing, or the folder cannot be written.
         """
-        try:
-            file = open(self.path / ".lock", "a+", encoding="utf-8")
-        except OSError as error:
-            raise _unwritable(self.path, error) from None
-        with file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                file.seek(0)
-                holder = file.read(20).strip() or "unknown"
-                raise InputError(
-                    f"another process is writing this run (its number: {holder})",
-                    where=str(self.path),
-                    remedy="wait until it ends, or end it",
-                ) from None
-            # the file stays: to delete it would let a third process lock a new one beside a second that waits
-            file.truncate(0)
-            file.write(f"{os.getpid()}\n")
-            file.flush()
+        with locked(self.path, "run"):
             yield
 
 
@@ -263,20 +245,6 @@ def versions() -> dict[str, str]:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
     return found
-
-
-def make_folder(place: Path) -> None:
-    """Make a folder, and those above it, where they are missing.
-
-    Raises
-    ------
-    InputError
-        Nothing can be written there.
-    """
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _unwritable(place, error) from None
 
 
 def _make(place: Path) -> bool:
@@ -295,53 +263,8 @@ def _make(place: Path) -> bool:
                 "the folder is not empty", where=str(place), remedy="choose another --name, or delete the folder"
             )
     except OSError as error:
-        raise _unwritable(place, error) from None
+        raise unwritable(place, error) from None
     return made
-
-
-def _inputs(specification: Specification) -> tuple[dict[str, bytes], dict[str, Any], list[str]]:
-    """Files to copy, by their place below inputs/, what the configuration says about them, and folders on the way."""
-    source = Path(specification.source)
-    content = source.read_bytes() if source.is_file() else b""
-    if digest(content) != specification.digest:
-        raise InputError(
-            "a run needs the specification as a file, with the bytes that were read",
-            where=specification.source or "specification",
-            remedy="write it to a file, and do not change it while it is read",
-        )
-    folder, plant, kind = PurePosixPath(), specification.plant, "inline"
-    files: dict[str, bytes] = {}
-    copy, way = "", list[str]()
-    if isinstance(plant, str):
-        found = Path(_named_plant(specification).source)
-        parts = PurePosixPath(plant).parts
-        if "/" not in plant and not plant.endswith((".yaml", ".yml")):
-            kind, copy = "shipped", f"plants/{plant}.yaml"
-        elif PurePosixPath(plant).is_absolute():
-            kind, copy = "absolute", f"plants/{found.name}"
-        else:
-            kind = "relative"
-            depths = [parts[: n + 1].count("..") * 2 - (n + 1) for n in range(len(parts))]
-            folder = PurePosixPath(*["specification"] * max(0, *depths))
-            copy = os.path.normpath(folder / plant)
-            way = [str(folder.joinpath(*parts[:n])) for n in range(1, len(parts))]  # a/../b.yaml needs a folder a
-        files[copy] = found.read_bytes()
-    name = str(folder / source.name)
-    if name in files:
-        raise InputError("specification and plant have one name", where=str(source), remedy="rename one of them")
-    stated = {
-        "specification": {"file": name, "sha256": specification.digest},
-        "plant": {"kind": kind, "file": copy, "sha256": digest(files[copy]) if copy else ""},
-    }
-    return {**files, name: content}, stated, way
-
-
-def _named_plant(specification: Specification) -> PlantDescription:
-    from ..models.plant import load_plant
-
-    if not isinstance(specification.plant, str):
-        raise AssertionError("the plant is inside the specification")
-    return load_plant(specification.plant, Path(specification.source).parent).description
 
 
 def _said(plant: PlantDescription) -> PlantDescription:
@@ -390,8 +313,3 @@ def _changed(file: Path) -> InputError:
         where=str(file),
         remedy="put it back, or start a new run with the changed one",
     )
-
-
-def _unwritable(place: Path, error: OSError) -> InputError:
-    reason = error.strerror or str(error)
-    return InputError(f"nothing can be written here: {reason}", where=str(place), remedy="choose another folder")
