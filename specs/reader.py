@@ -38,7 +38,7 @@ def read_specification(path: str | os.PathLike[str]) -> Specification:
     SpecificationError
         Naming file, line and remedy.
     """
-    return parse_specification(_read(path), source=str(path))
+    return parse_specification(read_bytes(path), source=str(path))
 
 
 def parse_specification(content: bytes | str, source: str = "<text>") -> Specification:
@@ -75,7 +75,7 @@ def read_plant(path: str | os.PathLike[str]) -> PlantDescription:
     SpecificationError
         Naming file, line and remedy.
     """
-    return parse_plant(_read(path), source=str(path), name=Path(path).stem)
+    return parse_plant(read_bytes(path), source=str(path), name=Path(path).stem)
 
 
 def parse_plant(content: bytes | str, source: str = "<text>", name: str = "plant") -> PlantDescription:
@@ -141,7 +141,8 @@ def digest(content: bytes | str) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _read(path: str | os.PathLike[str]) -> bytes:
+def read_bytes(path: str | os.PathLike[str]) -> bytes:
+    """The bytes of a text file, at most one more than it may have; SpecificationError where it cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(MAX_BYTES + 1)

@@ -8,11 +8,13 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
 from .documents import SpecificationDocument
+from .manifest_document import ManifestDocument
 from .plant_document import Document, PlantDocument
 
 KINDS: dict[str, tuple[type[Document], str]] = {
     "specification": (SpecificationDocument, "setrl specification"),
     "plant": (PlantDocument, "setrl plant"),
+    "certification": (ManifestDocument, "setrl certification manifest"),
 }
 
 
@@ -40,7 +42,7 @@ def json_schema(kind: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    kind : {"specification", "plant"}
+    kind : {"specification", "plant", "certification"}
 
     Returns
     -------
