@@ -20,7 +20,7 @@ import pytest
 from command_line import EXAMPLE, HOPELESS, QUICK, contents, run
 
 import setrl
-from setrl import cli
+from setrl.commands import exit_codes
 from setrl.models.plant import shipped_plants
 from setrl.specs.errors import InputError
 from setrl.specs.files import write_atomically
@@ -483,4 +483,5 @@ def test_standard_output_can_be_named_as_a_file(folder: Path) -> None:
 
 
 def test_the_exit_codes_are_those_of_the_documentation() -> None:
-    assert (cli.OK, cli.UNKNOWN, cli.BAD_INPUT, cli.INTERNAL) == (0, 5, 2, 6)
+    assert (exit_codes.OK, exit_codes.FALSIFIED, exit_codes.UNKNOWN) == (0, 10, 5)
+    assert (exit_codes.BAD_INPUT, exit_codes.INTERNAL) == (2, 6)
