@@ -34,7 +34,7 @@ def draw_plane(
         for number_, member in enumerate(requirement.region):
             corners = polygon(member, plane, view)
             if len(corners) > 2:
-                label = requirement.name + _window(requirement, loop)
+                label = requirement.name + window_text(requirement, loop)
                 label += "" if bounds_only(member, plane) else " (other states too)"
                 _draw_region(
                     axes, requirement.kind, corners, view, label if number_ == 0 else "", len(requirement.region)
@@ -73,7 +73,7 @@ def plane_height(loop: ClosedLoop, plane: tuple[int, int], view: Array) -> float
     return float(np.clip(1.5 + 5.6 * height / width, 3.0, 8.0))
 
 
-def _window(requirement: BoundRequirement, loop: ClosedLoop) -> str:
+def window_text(requirement: BoundRequirement, loop: ClosedLoop) -> str:
     """When a requirement holds, where that is not during the whole run."""
     horizon = loop.period * loop.periods
     if requirement.start == requirement.end:

@@ -25,6 +25,12 @@ def named_states(loop: ClosedLoop) -> list[int]:
     return sorted(used)
 
 
+def shown_plane(loop: ClosedLoop) -> tuple[int, int] | None:
+    """Positions of the two states that the requirements bound; None where they bound another number of states."""
+    named = named_states(loop)
+    return (named[0], named[1]) if len(named) == 2 else None
+
+
 def bounds_only(polytope: BoundPolytope, states: Sequence[int]) -> bool:
     """Whether every facet bounds nothing but the given states: the picture is then the region, not its shadow."""
     return all(not entry or position in states for normal in polytope.normals for position, entry in enumerate(normal))
