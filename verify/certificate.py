@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -52,7 +53,7 @@ def certificate_of(
     """
     from .. import __version__
 
-    tree, leaves = _tree(found, problem, loop)
+    tree, leaves = cover_of(found, problem, loop)
     evidence = [found.evidence[leaf] for leaf in leaves]
     margins = [float(found.margins[leaves, number].min()) for number in range(len(loop.requirements))]
     value = None
@@ -82,9 +83,72 @@ def certificate_of(
         "integers": sum(leaf.integers.size for leaf in evidence),
         "payload": hashlib.sha256(payload).hexdigest(),
     }
+    return _file(header, payload)
+
+
+def join_certificates(tree: Sequence[Any], parts: Sequence[bytes]) -> bytes:
+    """One certificate from those of the parts of an initial set.
+
+    Parameters
+    ----------
+    tree : sequence
+        How the initial set was cut, in preorder: ``[state, cut]``, None where a part is.
+    parts : sequence of bytes
+        What `certificate_of` wrote for every part, in that order.
+
+    Returns
+    -------
+    bytes
+
+    Raises
+    ------
+    ValueError
+        The parts are not about the same question.
+    """
+    read = [_read(content) for content in parts]
+    first = read[0][0]
+    own = {"requirements", "value", "tree", "leaves", "floats", "integers", "payload"}
+    for header, _, _ in read:
+        if any(header[key] != first[key] for key in first.keys() - own):
+            raise ValueError("the parts differ in what they claim")
+    waiting = iter([header["tree"] for header, _, _ in read])
+    nodes: list[Any] = []
+    for node in tree:
+        nodes += next(waiting) if node is None else [node]
+    headers = [header for header, _, _ in read]
+    value = None
+    if first["value"] is not None:
+        value = {key: min(header["value"][key] for header in headers) for key in first["value"]}
+    payload = b"".join(floats for _, floats, _ in read) + b"".join(integers for _, _, integers in read)
+    joined = {
+        **first,
+        "requirements": [
+            {"name": entry["name"], "margin": min(header["requirements"][number]["margin"] for header in headers)}
+            for number, entry in enumerate(first["requirements"])
+        ],
+        "value": value,
+        "tree": nodes,
+        "leaves": [leaf for header in headers for leaf in header["leaves"]],
+        "floats": sum(header["floats"] for header in headers),
+        "integers": sum(header["integers"] for header in headers),
+        "payload": hashlib.sha256(payload).hexdigest(),
+    }
+    return _file(joined, payload)
+
+
+def _file(header: dict[str, Any], payload: bytes) -> bytes:
     text = json.dumps(header, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False).encode()
     text += b" " * (-(len(MAGIC) + 8 + len(text)) % 8)
     return MAGIC + struct.pack("<Q", len(text)) + text + payload
+
+
+def _read(content: bytes) -> tuple[dict[str, Any], bytes, bytes]:
+    """Header, floats and whole numbers of a certificate that this program has just written."""
+    (length,) = struct.unpack_from("<Q", content, len(MAGIC))
+    begin = len(MAGIC) + 8 + length
+    header = json.loads(content[len(MAGIC) + 8 : begin])
+    middle = begin + 8 * header["floats"]
+    return header, content[begin:middle], content[middle:]
 
 
 def _payload(evidence: list[LeafEvidence]) -> bytes:
@@ -92,8 +156,8 @@ def _payload(evidence: list[LeafEvidence]) -> bytes:
     return floats + b"".join(leaf.integers.astype("<i4").tobytes() for leaf in evidence)
 
 
-def _tree(found: Exploration, problem: int, loop: ClosedLoop) -> tuple[list[Any], list[int]]:
-    """The cover in preorder, cuts as exact states; and its leaves in that order."""
+def cover_of(found: Exploration, problem: int, loop: ClosedLoop) -> tuple[list[Any], list[int]]:
+    """The cover in preorder, ``[state, cut]`` or None for a leaf, cuts as exact text; and its leaves in that order."""
     tree = found.tree
     initial = InitialSet.of(*initial_box(loop))
     children: dict[int, list[int]] = {}

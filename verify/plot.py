@@ -14,7 +14,7 @@ from ..models.rollouts import roll_out
 from ..models.simulation import Trajectories
 from ..specs.errors import UsageError
 from .plot_plane import draw_plane, plane_height
-from .plot_regions import named_states, view_of
+from .plot_regions import shown_plane, view_of
 from .plot_style import FORBIDDEN, GOAL, PIPE, add_key, add_title, check_path, new_figure, written
 from .plot_times import draw_times
 from .result import Flowpipe, Result, Verdict
@@ -165,7 +165,8 @@ def _joined(flowpipe: Flowpipe) -> Flowpipe:
     def hull(bounds: Array) -> Array:
         return np.stack([bounds[:, :, 0].min(axis=0), bounds[:, :, 1].max(axis=0)], axis=1)[None]
 
-    return Flowpipe(flowpipe.period, flowpipe.states, hull(flowpipe.points), hull(flowpipe.intervals))
+    margins = np.fmin.reduce(flowpipe.margins, axis=0)[None]
+    return Flowpipe(flowpipe.period, flowpipe.states, hull(flowpipe.points), hull(flowpipe.intervals), margins)
 
 
 def _drawing(
@@ -208,8 +209,7 @@ def _drawing(
 def _plane(loop: ClosedLoop, states: tuple[str, str] | None) -> tuple[int, int] | None:
     names = loop.plant.states
     if states is None:
-        named = named_states(loop)
-        return (named[0], named[1]) if len(named) == 2 else None
+        return shown_plane(loop)
     if len(states) != 2 or len(set(states)) != 2 or not set(states) <= set(names):
         raise UsageError(
             f"two different states are required, received {', '.join(map(str, states))}",

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..models.closed_loop import BoundRequirement
+from ..models.closed_loop import BoundRequirement, ClosedLoop
 from .options import Options
 from .separation import (
     Facets,
@@ -67,6 +67,9 @@ class Monitor:
         Seconds of the first set without a proof; NaN where there is none.
     failing : dict of int to Zonotope
         That set, of one cell: where to look for a witness and how to split.
+    curve : array, shape (cells, T + 1)
+        Smallest margin of every control period: entry 0 is time 0, entry k is ((k-1) period, k period]; NaN where
+        nothing was looked at.
     proofs : dict of (cell, seconds) to SetProof
         For every step that begins, and every time-point set, at that time.
     """
@@ -79,16 +82,15 @@ class Monitor:
     failed: Bools
     failed_at: Array
     failing: dict[int, Zonotope]
+    curve: Array
     by_points: bool = False
     """Whether time-point sets decide; else time-interval sets do."""
     proofs: dict[tuple[int, Fraction], SetProof] = field(default_factory=dict)
 
     @classmethod
-    def create(
-        cls, requirement: BoundRequirement, cells: int, options: Options, period: Fraction, discrete: bool
-    ) -> Monitor:
-        """A monitor that has seen nothing; `period` is the control period, `discrete` means only its ends exist."""
-        instant = requirement.start == requirement.end and requirement.start % period == 0
+    def create(cls, requirement: BoundRequirement, cells: int, options: Options, loop: ClosedLoop) -> Monitor:
+        """A monitor that has seen nothing."""
+        instant = requirement.start == requirement.end and requirement.start % loop.period == 0
         return cls(
             requirement,
             tuple(prepare_polytope(member) for member in requirement.region),
@@ -98,7 +100,8 @@ class Monitor:
             np.zeros(cells, dtype=bool),
             np.full(cells, np.nan),
             {},
-            discrete or instant or requirement.kind == "reach",
+            np.full((cells, loop.periods + 1), np.nan),
+            loop.plant.discrete or instant or requirement.kind == "reach",
         )
 
     @property
@@ -110,28 +113,31 @@ class Monitor:
         """Look at the initial sets of all cells (time 0), unless the first time-interval set contains them anyway."""
         window = self.requirement
         if window.start == 0 and self.by_points:
-            self._observe_points(np.arange(start.batch), [Fraction(0)] * start.batch, start)
+            numbers = np.zeros(start.batch, dtype=np.intp)
+            self._observe_points(np.arange(start.batch), [Fraction(0)] * start.batch, start, numbers)
 
-    def observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
-        """Look at time-point sets: reach, time-point windows, and everything of a discrete-time plant."""
+    def observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope, numbers: Indices) -> None:
+        """Look at time-point sets: reach, time-point windows, and everything of a discrete-time plant.
+
+        `numbers` are the entries of `curve` that the sets belong to.
+        """
         window = self.requirement
         if not self.by_points:
             return
         chosen = np.array([window.start <= time <= window.end for time in times], dtype=bool)
         if not chosen.any():
             return
-        self._observe_points(
-            index[chosen], [time for time, use in zip(times, chosen, strict=True) if use], sets[chosen]
-        )
+        kept = [time for time, use in zip(times, chosen, strict=True) if use]
+        self._observe_points(index[chosen], kept, sets[chosen], numbers[chosen])
 
-    def _observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope) -> None:
+    def _observe_points(self, index: Indices, times: Sequence[Fraction], sets: Zonotope, numbers: Indices) -> None:
         margins, chosen = self._intervals(sets, coarse=False)
         margins = np.where(np.isnan(margins), -np.inf, margins)
         programs = self._improve_by_program(margins[:, None], sets) if self.requirement.kind == "avoid" else {}
         for position in np.flatnonzero(margins > 0.0).tolist():
             choice = programs.get((position, 0)) or self._choice(chosen[position])
             self.proofs[int(index[position]), times[position]] = SetProof(0, (choice,))
-        self._record(index, margins, np.array([float(time) for time in times]), sets)
+        self._record(index, margins, np.array([float(time) for time in times]), sets, numbers)
 
     def _choice(self, chosen: Indices) -> Any:
         """What `SetProof.choices` says about one set, from the row of `_intervals`."""
@@ -139,8 +145,11 @@ class Monitor:
             return tuple(member.weights[i] for member, i in zip(self.members, chosen.tolist(), strict=True))
         return int(chosen[0])
 
-    def observe_steps(self, index: Indices, begins: Sequence[Fraction], step: Step) -> None:
-        """Look at the time-interval sets of integrator steps: coarse slabs first, finer ones where they are needed."""
+    def observe_steps(self, index: Indices, begins: Sequence[Fraction], step: Step, numbers: Indices) -> None:
+        """Look at the time-interval sets of integrator steps: coarse slabs first, finer ones where they are needed.
+
+        `numbers` are the entries of `curve` that the steps belong to.
+        """
         window = self.requirement
         if self.by_points:
             return
@@ -159,7 +168,8 @@ class Monitor:
                 self.proofs[int(index[cells[i]]), starts[i]] = SetProof(slabs, choices(i))
             final = np.flatnonzero(proved | finest)
             middles = [float(starts[i] + step.duration * (2 * int(worst[i]) + 1) / (2 * slabs)) for i in final]
-            self._record(index[cells[final]], margin[final], np.array(middles), sets[final * slabs + worst[final]])
+            worst_sets = sets[final * slabs + worst[final]]
+            self._record(index[cells[final]], margin[final], np.array(middles), worst_sets, numbers[cells[final]])
             if final.size == cells.size:
                 return
             left = np.flatnonzero(~(proved | finest))
@@ -234,8 +244,9 @@ class Monitor:
         inside = np.array([containment_margins(z, member).min(1) for member in self.members])
         return inside.max(0), inside.argmax(0)[:, None]
 
-    def _record(self, index: Indices, margins: Array, times: Array, sets: Zonotope) -> None:
+    def _record(self, index: Indices, margins: Array, times: Array, sets: Zonotope, numbers: Indices) -> None:
         """Enter margins; a cell may occur more than once."""
+        np.fmin.at(self.curve, (index, numbers), margins)
         best = self.requirement.kind == "reach"
         for position, cell in enumerate(index.tolist()):
             margin, time = float(margins[position]), float(times[position])

@@ -135,12 +135,16 @@ class Flowpipe:
         Lower and upper bounds of the time-point sets; NaN after a failure.
     intervals : array, shape (cells, P, 2, n)
         The same of the time-interval sets, P a multiple of T: equal parts of the horizon. NaN for discrete-time plants.
+    margins : array, shape (cells, requirements, T + 1)
+        What the engine found, before the checker: the smallest margin at time 0 and of every control period; NaN where
+        nothing was looked at.
     """
 
     period: float
     states: tuple[str, ...]
     points: Array
     intervals: Array
+    margins: Array
 
 
 @dataclass(frozen=True)
@@ -201,6 +205,9 @@ class Result:
         What makes the verdict FALSIFIED.
     certificate : bytes or None
         What makes the verdict VERIFIED: the content of a certificate file.
+    cover : tuple
+        Cells of the initial set in preorder, proved or not: (state, cut) before its lower and its upper half, None for
+        a leaf.
     timings : dict of phase to seconds
     claim : str
         What exactly is claimed, in a sentence.
@@ -226,6 +233,7 @@ class Result:
     observation_radius: tuple[float, ...]
     witness: ProvedWitness | None = None
     certificate: bytes | None = field(default=None, repr=False)
+    cover: tuple[Any, ...] = field(default=(), repr=False)
 
     def plot(self, path: str | None = None, states: tuple[str, str] | None = None) -> Figure:
         """Draw the flowpipe with the specification's regions; see `verify.plot.plot_result`."""

@@ -111,7 +111,8 @@ class Exploration:
         Periods that were enclosed without a failure.
     failing : dict of cell to (requirement number, set)
     growth : array, shape (M, sources)
-    hulls : dict of cell to (points, intervals)
+    hulls : dict of cell to (points, intervals, curves)
+        As in `Watch`, and `Monitor.curve` of every requirement.
     action_lower, action_upper, deployed_error : array, shape (M, m)
         Hull of a cell's actions, and its largest e_L: for the refusal of ill-conditioned networks.
     """
@@ -125,7 +126,7 @@ class Exploration:
     reached: Indices
     failing: dict[int, tuple[int, Zonotope]]
     growth: Array
-    hulls: dict[int, tuple[Array, Array]]
+    hulls: dict[int, tuple[Array, Array, Array]]
     action_lower: Array
     action_upper: Array
     deployed_error: Array
@@ -319,7 +320,8 @@ def _run_batch(
         state.evidence[int(cells[local])] = recorder.leaf(local, watch.monitors, clear)
     for local in range(count):
         if len(state.hulls) < MOST_HULLS:
-            state.hulls[int(cells[local])] = watch.points[local], watch.intervals[local]
+            curves = np.array([monitor.curve[local] for monitor in watch.monitors])
+            state.hulls[int(cells[local])] = watch.points[local], watch.intervals[local], curves
 
 
 def _cut(engine: Engine, state: Exploration, cells: Indices, most: int) -> None:

@@ -10,43 +10,42 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..models.binding import bind
-from ..models.closed_loop import BoundRequirement, ClosedLoop, Plant
+from ..models.closed_loop import ClosedLoop, Plant
 from ..models.onnx_reader import read_policy
 from ..models.policy import Policy
 from ..specs.errors import InputError, SetrlError, UsageError
-from ..specs.reader import digest, find_specification, parse_specification, read_specification
+from ..specs.reader import find_specification, read_specification
 from ..specs.specification import Specification
 from . import rounding
-from .certificate import certificate_of
-from .checker.certificate import Accepted
-from .checker.certificate import check as check_certificate
-from .checker.contract import read_contract
-from .checker.witness import Proof, Witness, prove, record
+from .certificate import certificate_of, cover_of
+from .certified import certified
 from .closed_loop import Engine
 from .contradiction import require_no_contradiction
 from .deadline import Deadline
+from .evidence_files import EvidenceFiles, evidence_files
 from .falsifier import Candidate, propose, propose_all
 from .model import initial_box, observation_radius, prepare
 from .options import Options
 from .reason import explain
-from .result import Flowpipe, ProvedWitness, Reason, RequirementResult, Result, Value, Verdict
+from .result import Flowpipe, ProvedWitness, RequirementResult, Result, Value, Verdict
 from .runtime_error import runtime_error, runtime_name, runtime_note
 from .separation import containment_margins, facet_separation, prepare_polytope
 from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
 from .watch import PARTS
-from .witness_replay import exact_runner, replay
+from .witnessed import proved_witness
 from .wording import claim_sentence
 
 Array = NDArray[np.float64]
 Radius = Any
 Progress = Callable[[Exploration], None]
+Part: TypeAlias = tuple[tuple[Fraction, Fraction], ...]
+"""A box in state space, exact."""
 
 ILL_CONDITIONED = 0.01
 """Networks whose e_L exceeds this share of the action range are refused for the deployed semantics."""
@@ -58,22 +57,6 @@ class _Job:
 
     loops: tuple[ClosedLoop, ...]
     options: Options
-
-
-@dataclass(frozen=True)
-class _Files:
-    """The bytes that evidence is about, as they were read."""
-
-    policy: bytes
-    specification: bytes
-    folder: Path
-    plant: str
-    radius: tuple[Fraction, ...]
-
-    @property
-    def digests(self) -> dict[str, str]:
-        """sha256 of each, "" for a plant inside the specification."""
-        return {"policy": digest(self.policy), "specification": digest(self.specification), "plant": self.plant}
 
 
 def load(
@@ -155,10 +138,12 @@ def verify_radii(
     deadline: Deadline | None = None,
     check: bool = True,
     workers: int | None = None,
+    part: Part | None = None,
 ) -> list[Result]:
     """`verify` for several observation radii in one array program; one result per radius, in order.
 
-    A radius of None is the specification's own.
+    A radius of None is the specification's own. A `part` is a box within the initial set: only what starts there is
+    decided, and a proof is only CLAIMED, because a certificate covers the whole set (`parts.joined` makes it one).
     """
     started = time.perf_counter()
     if not radii:
@@ -168,25 +153,30 @@ def verify_radii(
     if not contract.requirements and contract.reward is None:
         raise InputError("a specification needs a requirement or a reward", remedy="say what has to hold")
     loops = tuple(bind(contract, network, plant, radius) for radius in radii)
+    if part is not None:
+        loops, check = tuple(_within(loop, part) for loop in loops), False
     deadline = deadline or Deadline.after(options.timeout)
     loaded = time.perf_counter()
-    job, files = _Job(loops, options), _files(loops[0], plant)
-    found, doubts = _explore(job, files, deadline, progress)
+    job, files = _Job(loops, options), evidence_files(loops[0], plant)
+    found, doubts, falsification = _explore(job, files, deadline, progress)
     refused = [_ill_conditioned(job, found, problem) for problem in range(len(loops))]
     # what is proved with e_L added is proved without; only the rest of a refused network is worth a second run
     unproved = [bool(found.cells_of(problem, FAILED).size) for problem in range(len(loops))]
     if options.deployed and any(np.logical_and(refused, unproved)) and not deadline.expired:
         # decided for exact arithmetic all the same, for every radius alike
         job = _Job(loops, replace(options, deployed=False))
-        exact, exact_doubts = _explore(job, files, deadline, progress)
+        exact, exact_doubts, again = _explore(job, files, deadline, progress)
+        falsification += again
     else:
         exact, exact_doubts = found, doubts
     finished = time.perf_counter()
-    timings = {"load": loaded - started, "reachability": finished - loaded}
+    timings = {"load": loaded - started, "reachability": finished - loaded - falsification}
+    if falsification:
+        timings["falsification"] = falsification
     results = []
     for problem, loop in enumerate(loops):
-        again = refused[problem] and unproved[problem]
-        chosen, some = (exact, exact_doubts) if again else (found, doubts)
+        relaxed = refused[problem] and unproved[problem]
+        chosen, some = (exact, exact_doubts) if relaxed else (found, doubts)
         semantics = ["real"]
         notes = []
         if options.deployed and not refused[problem]:
@@ -209,31 +199,31 @@ def verify_radii(
             )
             notes.append(f"the violation {what}: {doubt.objection}")
         result = _result(job, chosen, problem, everything, doubt, tuple(semantics), tuple(notes), timings)
-        if result.verdict is Verdict.CLAIMED:
+        if result.verdict is Verdict.CLAIMED and isinstance(files, str):
+            result = replace(result, notes=(*result.notes, f"not checked: {files}"))
+        elif result.verdict is Verdict.CLAIMED and not isinstance(files, str):
+            result = _with_certificate(result, job, chosen, problem, files)
             watch = getattr(progress, "checking", None)
-            result = _certified(result, job, chosen, problem, files, check, workers, deadline, watch)
+            if check:
+                result = certified(result, files, deadline, workers, watch)
+            else:
+                note = "not checked, as asked for: `setrl check` says whether the certificate proves this"
+                result = replace(result, notes=(*result.notes, note))
         results.append(result)
     require_no_contradiction(results)
     return results
 
 
-def _certified(
-    result: Result,
-    job: _Job,
-    found: Exploration,
-    problem: int,
-    files: _Files | str,
-    check: bool,
-    workers: int | None,
-    deadline: Deadline,
-    watch: Callable[[int, int], None] | None,
-) -> Result:
-    """A claim with its certificate: VERIFIED where the checker accepted it, UNKNOWN where it did not.
+def _within(loop: ClosedLoop, part: Part) -> ClosedLoop:
+    """The loop that starts in a box within its initial set."""
+    inside = all(low <= a <= b <= high for (a, b), (low, high) in zip(part, loop.initial, strict=True))
+    if not inside:
+        raise UsageError("a part of the initial set is not within it", where="part")
+    return replace(loop, initial=part)
 
-    What is VERIFIED are the checker's figures, not the engine's.
-    """
-    if isinstance(files, str):
-        return replace(result, notes=(*result.notes, f"not checked: {files}"))
+
+def _with_certificate(result: Result, job: _Job, found: Exploration, problem: int, files: EvidenceFiles) -> Result:
+    """A claim, and the certificate that states it."""
     loop = job.loops[problem]
     started = time.perf_counter()
     runtime = None
@@ -241,42 +231,8 @@ def _certified(
         runtime = runtime_name(), runtime_error(loop.policy.precision)
     radius = None if files.radius == loop.observation_radius else loop.observation_radius
     content = certificate_of(found, problem, job.options, files.digests, loop, radius, runtime)
-    written = time.perf_counter()
-    timings = {**result.timings, "certificate": written - started}
-    if not check:
-        note = "not checked, as asked for: `setrl check` says whether the certificate proves this"
-        return replace(result, certificate=content, timings=timings, notes=(*result.notes, note))
-    answer = check_certificate(
-        content,
-        files.policy,
-        files.specification,
-        files.folder,
-        progress=watch,
-        workers=workers,
-        stop=lambda: deadline.expired,
-    )
-    timings["check"] = time.perf_counter() - written
-    if isinstance(answer, Accepted):
-        return replace(
-            result,
-            verdict=Verdict.VERIFIED,
-            certificate=content,
-            timings=timings,
-            requirements=tuple(
-                replace(entry, margin=margin)
-                for entry, (_, margin) in zip(result.requirements, answer.margins, strict=True)
-            ),
-            value=None
-            if loop.reward is None or answer.value is None
-            else Value(*answer.value, float(loop.reward.discount)),
-        )
-    reason = Reason(
-        f"every cell was proved, but the checker did not accept the certificate: {answer}",
-        source="check",
-        remedy="give it more time, or report this: the engine and its checker should not disagree",
-        verified_until=0.0,
-    )
-    return replace(result, verdict=Verdict.UNKNOWN, reason=reason, timings=timings)
+    timings = {**result.timings, "certificate": time.perf_counter() - started}
+    return replace(result, certificate=content, timings=timings)
 
 
 @dataclass(frozen=True)
@@ -289,12 +245,21 @@ class _Doubt:
 
 
 def _explore(
-    job: _Job, files: _Files | str, deadline: Deadline, progress: Progress | None
-) -> tuple[Exploration, dict[int, _Doubt]]:
+    job: _Job, files: EvidenceFiles | str, deadline: Deadline, progress: Progress | None
+) -> tuple[Exploration, dict[int, _Doubt], float]:
+    """What the engine found, the simulated violations, and the seconds that it took to look for those."""
     model = prepare(job.loops[0])
     initial = InitialSet.of(*initial_box(model.loop))
     engine = Engine(model, job.options, initial.free.size + model.constant.size)
     doubts: dict[int, _Doubt] = {}
+    seconds = 0.0
+
+    def timed(problem: int, factors: Array) -> bool:
+        nonlocal seconds
+        started = time.perf_counter()
+        answer = doubt(problem, factors)
+        seconds += time.perf_counter() - started
+        return answer
 
     def doubt(problem: int, factors: Array) -> bool:
         """Whether to give up: where a violation is proved, or is all that can be said."""
@@ -316,11 +281,13 @@ def _explore(
         return doubts[problem].witness is not None or isinstance(files, str)
 
     radii = np.stack([observation_radius(loop) for loop in job.loops])
-    return explore(engine, radii, deadline, progress, doubt), doubts
+    return explore(engine, radii, deadline, progress, timed), doubts, seconds
 
 
-def _doubt(loop: ClosedLoop, candidate: Candidate, files: _Files | str, deployed: bool, deadline: Deadline) -> _Doubt:
-    return _Doubt(candidate, *_witnessed(loop, candidate, files, deployed, deadline))
+def _doubt(
+    loop: ClosedLoop, candidate: Candidate, files: EvidenceFiles | str, deployed: bool, deadline: Deadline
+) -> _Doubt:
+    return _Doubt(candidate, *proved_witness(loop, candidate, files, deployed, deadline))
 
 
 def _ill_conditioned(job: _Job, found: Exploration, problem: int) -> float:
@@ -403,106 +370,7 @@ def _result(
         loop,
         tuple(float(radius) for radius in loop.observation_radius),
         witness,
-    )
-
-
-def _files(loop: ClosedLoop, plant: Plant | None) -> _Files | str:
-    """The files of a closed loop, for the checker; or why there are none.
-
-    Evidence is about files, so what was given as an object has to be what its file says.
-    """
-    specification, policy = loop.specification, loop.policy.content
-    if plant is not None or not policy:
-        return "the checker needs the policy and the plant as files"
-    source = Path(specification.source)
-    content = source.read_bytes() if source.is_file() else b""
-    if digest(content) != specification.digest:
-        return "the checker needs the specification as a file, with the bytes that were read"
-    if parse_specification(content, specification.source) != specification:
-        return "the specification was changed after it was read"
-    try:
-        contract = read_contract(content, source.parent)
-    except SetrlError as error:
-        return f"the checker cannot read the specification: {error}"
-    return _Files(policy, content, source.parent, contract.plant_digest, contract.radius)
-
-
-def _witnessed(
-    loop: ClosedLoop, candidate: Candidate, files: _Files | str, deployed: bool, deadline: Deadline
-) -> tuple[ProvedWitness | None, str]:
-    """The candidate as a witness that the checker proved, and what it does not prove; or None and why not.
-
-    Where the `deployed` network is part of the question, its runtime's own actions are recorded and proved too.
-    """
-    if isinstance(files, str) or deadline.expired:
-        return None, files if isinstance(files, str) else "the time is up"
-    requirement = next(entry for entry in loop.requirements if entry.name == candidate.requirement)
-    witness = Witness(
-        requirement=candidate.requirement,
-        time=_exact_time(candidate.time, requirement, loop),
-        initial=_clipped(candidate.initial, loop.initial),
-        noise=tuple(
-            _clipped(row, [(-radius, radius) for radius in loop.observation_radius]) for row in candidate.noise
-        ),
-        disturbances=_exact_disturbances(candidate.disturbances, loop),
-        policy=files.digests["policy"],
-        specification=files.digests["specification"],
-        plant=files.plant,
-        observation_radius=None if files.radius == loop.observation_radius else loop.observation_radius,
-    )
-    replayed, missing = "", ""
-    if deployed:
-        executed = record(
-            witness,
-            files.policy,
-            files.specification,
-            files.folder,
-            run=exact_runner(loop.policy),
-            runtime=runtime_name(),
-            stop=lambda: deadline.expired,
-        )
-        if isinstance(executed, str):
-            missing = executed
-        elif executed.deployed is not None:
-            witness, given = executed, executed.deployed
-            replayed = given.runtime if replay(given.observations, given.actions, loop.policy) else ""
-    found = prove(
-        witness,
-        files.policy,
-        files.specification,
-        files.folder,
-        replayed=replayed,
-        stop=lambda: deadline.expired,
-    )
-    if not isinstance(found, Proof):
-        return None, found
-    facts = (found.requirement, found.kind, found.time, found.grade, found.sentence, found.depth, found.radius)
-    return ProvedWitness(*facts, found.precision, witness.to_json()), missing or found.objection
-
-
-def _exact_time(time: float, requirement: BoundRequirement, loop: ClosedLoop) -> Fraction | None:
-    """The simulation's sampling time as a fraction of the period, within the requirement's window; None for reach."""
-    if requirement.kind == "reach":
-        return None
-    for edge in (requirement.start, requirement.end):
-        if abs(time - float(edge)) <= 1e-9 * float(loop.period):  # which has no small denominator as a share
-            return edge
-    share = Fraction(time / float(loop.period))
-    near = Fraction(round(share)) if loop.plant.discrete else share.limit_denominator(64)
-    return min(max(near * loop.period, requirement.start), requirement.end)
-
-
-def _clipped(values: Array, bounds: Sequence[tuple[Fraction, Fraction]]) -> tuple[Fraction, ...]:
-    """Floats as exact numbers that are within their bounds, where rounding took them out."""
-    return tuple(min(max(Fraction(x), low), high) for x, (low, high) in zip(values.tolist(), bounds, strict=True))
-
-
-def _exact_disturbances(values: Array, loop: ClosedLoop) -> tuple[tuple[Fraction, ...], ...]:
-    rows = [_clipped(row, [(entry.lower, entry.upper) for entry in loop.disturbances]) for row in values]
-    constant = [entry.constant for entry in loop.disturbances]
-    return tuple(
-        tuple(first if held else value for value, first, held in zip(row, rows[0], constant, strict=True))
-        for row in rows
+        cover=tuple(cover_of(found, problem, loop)[0]),
     )
 
 
@@ -563,7 +431,8 @@ def _flowpipe(loop: ClosedLoop, found: Exploration, leaves: NDArray[np.intp], pr
     states = len(loop.plant.states)
     points = np.array([k[0] for k in kept]).reshape(len(kept), loop.periods + 1, 2, states)
     intervals = np.array([k[1] for k in kept]).reshape(len(kept), loop.periods * PARTS, 2, states)
-    return Flowpipe(float(loop.period), loop.plant.states, points, intervals)
+    curves = np.array([k[2] for k in kept]).reshape(len(kept), len(loop.requirements), loop.periods + 1)
+    return Flowpipe(float(loop.period), loop.plant.states, points, intervals, curves)
 
 
 def example() -> tuple[str, str]:

@@ -79,10 +79,7 @@ class Watch:
         points = np.full((cells, loop.periods + 1, 2, states), np.nan)
         hull = start.interval
         points[:, 0] = np.stack([hull.lower, hull.upper], 1)
-        monitors = [
-            Monitor.create(requirement, cells, options, loop.period, loop.plant.discrete)
-            for requirement in loop.requirements
-        ]
+        monitors = [Monitor.create(requirement, cells, options, loop) for requirement in loop.requirements]
         for monitor in monitors:
             monitor.observe_start(start)
         return cls(
@@ -120,7 +117,8 @@ class Watch:
         if self.performance is not None:
             self.performance.observe(index[sound], numbers[sound], end[sound])
         for monitor in self.monitors:
-            monitor.observe_points(index, [self.loop.period * int(number + 1) for number in numbers], end)
+            times = [self.loop.period * int(number + 1) for number in numbers]
+            monitor.observe_points(index, times, end, numbers + 1)
         for entries in self._steps.values():
             self._check(entries)
         self._ends, self._steps, self._waiting = [], {}, 0
@@ -131,11 +129,11 @@ class Watch:
         step = first if len(entries) == 1 else type(first).join([entry[2] for entry in entries])
         index = np.concatenate([entry[0] for entry in entries])
         begins = [entry[1] for entry in entries for _ in range(entry[0].size)]
+        numbers = np.array([int(begin // self.loop.period) for begin in begins], dtype=np.intp)
         for monitor in self.monitors:
-            monitor.observe_steps(index, begins, step)
+            monitor.observe_steps(index, begins, step, numbers + 1)
         width = self.loop.period / PARTS
         offset = begins[0] % self.loop.period  # the same for all: steps of the same position and duration
-        numbers = np.array([int(begin // self.loop.period) for begin in begins], dtype=np.intp)
         whole = step.time_intervals(1)[0]
         for part in range(PARTS):
             low, high = max(offset, width * part), min(offset + step.duration, width * (part + 1))
