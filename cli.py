@@ -16,7 +16,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from . import __version__
-from .commands import check, doctor, evaluate, init, inspect, schema, simulate, sweep, train, verify
+from .commands import certify, check, doctor, evaluate, init, inspect, radius, schema, simulate, sweep, train, verify
 from .commands.exit_codes import ABORTED, BAD_INPUT, INTERNAL, OK, PIPE_CLOSED
 from .commands.output import one_line, tell
 
@@ -24,7 +24,9 @@ COMMANDS: tuple[tuple[Callable[..., int], str, str | None], ...] = (
     (verify.verify_command, "verify", "Verify a policy: VERIFIED, FALSIFIED, or UNKNOWN and why."),
     (check.check, "check", "Prove a certificate or a witness again, without the engine."),
     (sweep.sweep, "sweep", "Verify for several perturbation radii at once."),
+    (radius.radius, "radius", "How much perturbation a policy withstands: what verifies, what fails."),
     (simulate.simulate, "simulate", None),
+    (certify.certify_command, "certify", "Verify a table of policies and specifications, with reports for CI."),
     (train.train, "train", "Train policies that verify."),
     (evaluate.evaluate, "evaluate", "What trained policies are worth: V(s0), attacks, certified radius."),
     (init.init, "init", "Print a commented specification to fill in."),

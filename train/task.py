@@ -15,6 +15,7 @@ from ..models.binding import bind, plant_of
 from ..models.binding_context import place_of, shown
 from ..models.binding_controller import Radius, exact_number
 from ..models.closed_loop import ClosedLoop, Intervals, Plant
+from ..models.perturbation import proportions, radii_by_name
 from ..models.plant import suggestion
 from ..models.policy import Activation, Affine, Policy
 from ..models.sampling import inner_bounds
@@ -90,9 +91,7 @@ class Task:
         """
         if epsilon is None:
             return bind(self.loop.specification, policy, self.loop.plant)
-        radius = exact_number(epsilon)
-        direction = _direction(self.loop.observation_radius)
-        radii = {name: radius * share for name, share in zip(self.loop.observation_names, direction, strict=True)}
+        radii = radii_by_name(self.loop, exact_number(epsilon))
         return bind(self.loop.specification, policy, self.loop.plant, radii)
 
 
@@ -135,7 +134,7 @@ def task_of(
     box = loop.initial if start is None else _start_box(start, used.states)
     _require_trainable(loop, box, actions)
     radii = loop.observation_radius
-    rows = np.diag([float(share) for share in _direction(radii)])
+    rows = np.diag([float(share) for share in proportions(radii)])
     if loop.before is not None:
         rows = rows @ np.array(loop.before.matrix, dtype=np.float64).T
     assert loop.reward is not None
@@ -232,12 +231,6 @@ def _dimensions(specification: Specification, plant: Plant) -> tuple[int, int]:
 def _placeholder(inputs: int, actions: int) -> Policy:
     layer = Affine(np.zeros((actions, inputs)), np.zeros(actions))
     return Policy((layer, Activation("tanh")), inputs, actions, name="to be trained")
-
-
-def _direction(radii: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
-    """Shares of the largest radius; ones where all are zero."""
-    largest = max(radii)
-    return tuple(radius / largest for radius in radii) if largest > 0 else (Fraction(1),) * len(radii)
 
 
 def _require_reward(loop: ClosedLoop) -> None:
