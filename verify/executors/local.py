@@ -11,7 +11,7 @@ from typing import Self
 
 from ...specs.errors import UsageError
 from .parcel import Parcel, opened, packed
-from .process import WorkerProcess
+from .process import WorkerProcess, search_path
 from .task import Lost, Task, TaskOutcome
 
 
@@ -43,7 +43,7 @@ class LocalExecutor:
         if workers < 1:
             raise UsageError(f"at least one worker is needed, received {workers}")
         self._workers = workers
-        self._path = tuple(path)
+        self._search = search_path(path)
         self._lock = threading.Lock()
         self._work = threading.Condition(self._lock)
         self._news = threading.Condition(self._lock)
@@ -152,7 +152,7 @@ class LocalExecutor:
     def _fresh(self) -> tuple[WorkerProcess | None, str]:
         """A new process, or why there is none."""
         try:
-            process = WorkerProcess(self._path)
+            process = WorkerProcess(self._search)
         except OSError as error:
             return None, f"its process could not be started: {error.strerror or error}"
         with self._lock:

@@ -21,6 +21,16 @@ _ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
 """Tasks run side by side, one per processor: a matrix product takes one thread. Read when numpy is imported."""
 
 
+def search_path(path: Sequence[str] = ()) -> list[str]:
+    """What a worker imports from: these folders, then those of this process but for the current one.
+
+    Parameters
+    ----------
+    path : sequence of str
+    """
+    return [os.path.abspath(folder) for folder in (*path, *sys.path) if folder]
+
+
 class WorkerProcess:
     """A process that serves one task after another.
 
@@ -28,15 +38,14 @@ class WorkerProcess:
 
     Parameters
     ----------
-    path : sequence of str
-        Put in front of what the process imports from.
+    search : sequence of str
+        Folders that the process imports from, before those of its Python.
     """
 
-    def __init__(self, path: Sequence[str] = ()) -> None:
+    def __init__(self, search: Sequence[str]) -> None:
         # -P: nothing that lies in the folder where the caller happens to be takes the place of a module
         command = [sys.executable, "-P", "-m", "setrl.verify.executors.worker"]
-        found = [os.path.abspath(folder) for folder in (*path, *sys.path) if folder]
-        environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(found)}
+        environment = {**os.environ, **_ONE_THREAD, "PYTHONPATH": os.pathsep.join(search)}
         with contextlib.ExitStack() as stack:
             inbox, self._tasks = _pipe(stack)
             self._answers, outbox = _pipe(stack)
