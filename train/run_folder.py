@@ -19,12 +19,10 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +32,7 @@ from ..specs.files import write_atomically
 from ..specs.folders import locked, unwritable
 from ..specs.reader import digest, read_plant, read_specification
 from ..specs.specification import PlantDescription, Specification
+from ..specs.versions import versions
 
 if TYPE_CHECKING:
     from .options import TrainingOptions
@@ -92,7 +91,7 @@ class RunFolder:
             "specification": {"file": inputs.specification, "sha256": specification.digest},
             "plant": {"kind": inputs.plant_kind, "file": inputs.plant, "sha256": inputs.plant_digest},
         }
-        content = {"format": FORMAT, **configuration, **entries, "versions": versions()}
+        content = {"format": FORMAT, **configuration, **entries, "versions": versions(_PACKAGES)}
         made = _make(place)
         try:
             inputs.write(place / INPUTS)
@@ -220,7 +219,7 @@ class RunFolder:
 
     def version_changes(self) -> list[str]:
         """What is installed in another version than the run was started with; results may differ in the last bits."""
-        then, now = self.configuration["versions"], versions()
+        then, now = self.configuration["versions"], versions(_PACKAGES)
         return [f"{name} {then[name]} then, {now.get(name)} now" for name in then if then[name] != now.get(name)]
 
     @contextmanager
@@ -234,17 +233,6 @@ class RunFolder:
         """
         with locked(self.path, "run"):
             yield
-
-
-def versions() -> dict[str, str]:
-    """Versions that a run's numbers depend on; torch is not imported for it."""
-    from .. import __version__
-
-    found = {"setrl": __version__, "python": platform.python_version()}
-    for name in _PACKAGES:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
 
 
 def _make(place: Path) -> bool:

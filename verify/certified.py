@@ -69,5 +69,6 @@ def certified(
         source="check",
         remedy="give it more time, or report this: the engine and its checker should not disagree",
         verified_until=0.0,
+        stopped=deadline.word if deadline.expired else "",
     )
     return replace(result, verdict=Verdict.UNKNOWN, reason=reason, timings=timings, certificate=None)

@@ -67,7 +67,7 @@ def explain(
         if options.splits <= 1:
             remedy = "allow splitting (--splits)" if source in ("initial set", "network relaxation") else remedy
     part, box = _verified_part(loop, found, proved)
-    return Reason(sentence, requirement, when, source, named, remedy, until, part, box)
+    return Reason(sentence, requirement, when, source, named, remedy, until, part, box, found.stopped)
 
 
 def _has_failing_requirement(found: Exploration, cells: NDArray[np.intp]) -> bool:

@@ -92,6 +92,8 @@ class Reason:
         Share of the initial set's volume (in its free states) that is proved.
     largest_box : dict of state to (lower, upper), or None
         Largest part of the initial set that is proved.
+    stopped : str
+        "time limit" or "interrupted" where the search or the check was ended; empty where it ended by itself.
     """
 
     sentence: str
@@ -103,6 +105,7 @@ class Reason:
     verified_until: float = 0.0
     verified_part: float = 0.0
     largest_box: dict[str, tuple[float, float]] | None = None
+    stopped: str = ""
 
 
 @dataclass(frozen=True)
