@@ -27,6 +27,7 @@ GAUSSIAN, SQUASHED = ("PPO", "A2C"), ("SAC", "TD3", "DDPG")
 BOXES = {
     "unit": ([-1.0, -1.0], [1.0, 1.0]),
     "wide": ([-2.0, -2.0], [5.0, 5.0]),
+    "one floor": ([-2.0, -2.0], [1.0, 3.0]),
     "uneven": ([-2.0, 0.5], [3.0, 0.75]),
 }
 FLAT = ([-1.0, 0.5], [1.0, 0.5])
@@ -263,9 +264,10 @@ def test_discrete_q_networks_are_refused(tmp_path: Path) -> None:
         export_stable_baselines3(model_of("DQN", spaces.Discrete(2)), tmp_path / "policy.onnx")
 
 
-def test_a_file_that_disagrees_with_predict_is_not_written(tmp_path: Path) -> None:
-    model = model_of("PPO")
-    model.policy.action_net.register_forward_hook(lambda module, given, returned: 1.01 * returned)
+@pytest.mark.parametrize("factor", [1.01, np.nan])
+def test_a_file_that_disagrees_with_predict_is_not_written(factor: float, tmp_path: Path) -> None:
+    model = model_of("TD3")
+    model.policy.actor.mu.register_forward_hook(lambda module, given, returned: factor * returned)
     with pytest.raises(PolicyError, match="do not compute the same actions"):
         export_stable_baselines3(model, tmp_path / "policy.onnx")
     assert list(tmp_path.iterdir()) == []

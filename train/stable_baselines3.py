@@ -145,8 +145,7 @@ def _observed(policy: Any) -> int:
         raise PolicyError(
             f"continuous actions are required, received {acting}", remedy="train with an action space that is a Box"
         )
-    owner = getattr(policy, "actor", policy)
-    extractor = getattr(owner, "pi_features_extractor", owner.features_extractor)
+    extractor = getattr(policy, "actor", policy).features_extractor
     # of the exact type: a subclass may compute anything
     if type(extractor) is not FlattenExtractor:
         raise PolicyError(
