@@ -26,7 +26,9 @@ from .contradiction import require_no_contradiction
 from .deadline import Deadline
 from .model import initial_box
 from .options import Options
-from .radius_claims import QUIET, between, claims, claims_between
+from .radius_bisection import largest, smallest
+from .radius_claims import QUIET, claims, claims_between
+from .radius_search import RadiusSearch
 from .result import Result, Verdict
 from .verifier import load, verify
 
@@ -34,60 +36,9 @@ SPLITS = 128
 """Most cells of the initial set in a search, where nothing else is asked for: many radii are tried, and most fail."""
 
 FIRST = Fraction(1, 100)
-"""Smallest radius that is doubled until `most`; the specification's own one where that is larger."""
+"""Smallest radius that is doubled until `most`; the specification's own one or the resolution where that is larger."""
 
 MOST, RESOLUTION = Fraction(10), Fraction(1, 1000)
-
-
-@dataclass(frozen=True)
-class RadiusSearch:
-    """What a search for the radius found.
-
-    The radius is the largest component of the observation's perturbation; the components keep the specification's
-    proportions, and are equal where it perturbs nothing.
-
-    Attributes
-    ----------
-    verified : Fraction or None
-        Largest radius found that is VERIFIED (CLAIMED where the checker was not asked).
-    verified_result : Result or None
-        With the certificate.
-    falsified : Fraction or None
-        Smallest radius found that is FALSIFIED; always above `verified`.
-    falsified_result : Result or None
-        With the proved witness.
-    unproved_result : Result or None
-        Of the radius `least`, where it is not VERIFIED: it says why not.
-    tried : tuple of (radius, verdict), ascending
-        CLAIMED is what the engine alone says; UNKNOWN is no answer with the effort that was made.
-    least, most, resolution : Fraction
-        Where the search began and ended, and the distance of two radii that it does not tell apart.
-    stopped : str
-        "time limit" or "interrupted"; empty where the search came to its end.
-    timings : dict of phase to seconds
-        "engine" (the engine alone), "falsification", "cells" (with cut initial sets), "verification" (of what is
-        reported).
-    """
-
-    verified: Fraction | None
-    verified_result: Result | None
-    falsified: Fraction | None
-    falsified_result: Result | None
-    unproved_result: Result | None
-    tried: tuple[tuple[Fraction, Verdict], ...]
-    least: Fraction
-    most: Fraction
-    resolution: Fraction
-    stopped: str
-    timings: dict[str, float]
-
-    @property
-    def exit_code(self) -> int:
-        """0 where a radius is VERIFIED, 10 where already the least one is FALSIFIED, else 5."""
-        if self.verified_result is not None:
-            return self.verified_result.verdict.exit_code
-        already = self.falsified is not None and self.falsified <= self.least
-        return (Verdict.FALSIFIED if already else Verdict.UNKNOWN).exit_code
 
 
 def search_radius(
@@ -155,7 +106,7 @@ def search_radius(
     search = _Search(
         network, contract, plant, options, deadline or Deadline.after(options.timeout), check, workers, progress
     )
-    grid = _doubling(max(search.loop.observation_radius), least, most)
+    grid = _doubling(max(*search.loop.observation_radius, FIRST, resolution), least, most)
     uncut = replace(options, splits=1)
 
     # a certificate before the search goes on: where time runs out there is something to show
@@ -293,28 +244,16 @@ class _Search:
         return result
 
     def falsify(self, grid: Sequence[Fraction], low: Fraction, resolution: Fraction, options: Options) -> None:
-        """Find the smallest radius with a proved violation above one that has none, or at the grid's first."""
+        """Find the smallest radius with a proved violation, where the least one has none."""
 
         def refuted(radius: Fraction) -> bool:
             known = self.results.get(radius)
-            found = known if known is not None and known.verdict is not Verdict.UNKNOWN else None
-            return (found or self.ask(radius, options, "falsification")).verdict is Verdict.FALSIFIED
+            if known is None or known.verdict is Verdict.UNKNOWN:
+                known = self.ask(radius, options, "falsification")
+            return known.verdict is Verdict.FALSIFIED
 
-        if low in self.results and self.results[low].verdict is Verdict.FALSIFIED:
-            return
-        above = [radius for radius in grid if radius > low]
-        # from the largest one down, where violations are easiest to find
-        last = next((i for i in reversed(range(len(above))) if not self.over and refuted(above[i])), None)
-        if last is None:
-            return
-        first = -1
-        while last - first > 1 and not self.over:
-            middle = (first + last) // 2
-            first, last = (first, middle) if refuted(above[middle]) else (middle, last)
-        low, high = low if first < 0 else above[first], above[last]
-        while high - low > resolution and not self.over:
-            (middle_radius,) = between(low, high, resolution, 1)
-            low, high = (low, middle_radius) if refuted(middle_radius) else (middle_radius, high)
+        if self._falsified() is None:
+            smallest(refuted, grid, low, resolution, lambda: self.over)
 
     def cut(self, grid: Sequence[Fraction], low: Fraction, resolution: Fraction) -> None:
         """Verify above a VERIFIED radius with cut initial sets, up to what is FALSIFIED."""
@@ -322,18 +261,7 @@ class _Search:
         def holds(radius: Fraction) -> bool:
             return self.ask(radius, self.options, "cells").verdict.positive
 
-        high = self._falsified()
-        for radius in grid:
-            if self.over or (high is not None and radius >= high):
-                break
-            if radius > low:
-                if not holds(radius):
-                    high = radius
-                    break
-                low = radius
-        while high is not None and high - low > resolution and not self.over:
-            (middle,) = between(low, high, resolution, 1)
-            low, high = (middle, high) if holds(middle) else (low, middle)
+        largest(holds, grid, low, self._falsified(), resolution, lambda: self.over)
 
     def outcome(self, least: Fraction, most: Fraction, resolution: Fraction) -> RadiusSearch:
         verified = max((radius for radius, result in self.results.items() if result.verdict.positive), default=None)
@@ -371,9 +299,9 @@ class _Search:
         self.timings[phase] = self.timings.get(phase, 0.0) + time.perf_counter() - started
 
 
-def _doubling(own: Fraction, least: Fraction, most: Fraction) -> list[Fraction]:
-    """`least`, the specification's radius (or `FIRST`) and its doubles below `most`, and `most`; ascending."""
-    radius, grid = max(own, FIRST), {least, most}
+def _doubling(radius: Fraction, least: Fraction, most: Fraction) -> list[Fraction]:
+    """`least`, a radius and its doubles below `most`, and `most`; ascending."""
+    grid = {least, most}
     while radius < most:
         grid |= {radius} if radius > least else set()
         radius *= 2
@@ -389,3 +317,6 @@ def _require_range(least: Fraction, most: Fraction, resolution: Fraction) -> Non
             where="most",
             remedy="choose the least radius not negative, and the largest not below it",
         )
+
+
+__all__ = ["FIRST", "MOST", "RESOLUTION", "SPLITS", "RadiusSearch", "largest_verified", "search_radius"]

@@ -14,6 +14,7 @@ from .closed_loop import Engine
 from .deadline import Deadline
 from .model import initial_box, observation_radius, prepare
 from .options import Options
+from .radius_bisection import between
 from .splitting import FAILED, PROVED, Exploration, InitialSet, explore
 
 Progress: TypeAlias = Callable[[Exploration], None]
@@ -91,17 +92,9 @@ def claims_between(
     """
     tried: dict[Fraction, bool] = {}
     while high - low > resolution and not (deadline is not None and deadline.expired):
-        candidates = between(low, high, resolution)
+        candidates = between(low, high, resolution, INSIDE)
         answers = claims(bound, candidates, options, deadline or Deadline.after(options.timeout), progress)
         edges = [low, *candidates, high]
         low, high = next(pair for pair, fine in zip(pairwise(edges), [*answers, False], strict=True) if not fine)
         tried |= {radius: fine and radius <= low for radius, fine in zip(candidates, answers, strict=True)}
     return tried
-
-
-def between(low: Fraction, high: Fraction, resolution: Fraction, most: int = INSIDE) -> list[Fraction]:
-    """At most `most` radii strictly between two, on multiples of the resolution above `low`, ascending."""
-    count = -(-(high - low) // resolution)  # gaps, the last one may be smaller
-    return [
-        low + resolution * step for step in sorted({count * part // (most + 1) for part in range(1, most + 1)} - {0})
-    ]

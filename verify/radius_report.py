@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..specs.exact import signed_text
 from .options import Options
+from .radius_search import RadiusSearch
 from .report import describe, json_data, reason_lines, result_to_json, table, timing_text
 from .result import Result, Verdict
-
-if TYPE_CHECKING:
-    from .radius import RadiusSearch
 
 RADIUS_FORMAT = "setrl-radius/1"
 """Name of the layout that `radius_to_json` writes."""
@@ -79,8 +78,6 @@ def radius_to_json(
     certificate_path : str, optional
         Where the certificate of the largest VERIFIED radius was written.
     """
-    from dataclasses import asdict
-
     from .. import __version__
 
     def answer(radius: Fraction | None, result: Result | None, path: str | None = None) -> dict[str, Any] | None:
