@@ -12,7 +12,6 @@ from .arguments import JsonOption, QuietOption, read_radius, require_workers
 from .exit_codes import ABORTED
 from .output import print_json, say, tell
 
-
 SPREAD_ON_RAY = 8
 """Parts of a hard row on a cluster, where nobody says how many."""
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from fractions import Fraction
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...specs.errors import InputError
@@ -14,7 +13,7 @@ from ..checker.contract import read_contract
 from ..checker.recheck import recheck
 from ..deadline import Deadline
 from ..parts import Cut, cut_like, joined
-from ..radius import search_radius
+from ..radius import SPLITS, search_radius
 from ..result import Result, Verdict
 from ..verifier import Part, verify, verify_radii
 from .document import RadiusFound
@@ -112,11 +111,11 @@ def _search(question: Question, policy: str, specification: str) -> Figures:
         specification,
         most=question.search.most,
         resolution=question.search.resolution,
-        options=question.numerics(),
+        options=question.numerics(**({} if "splits" in question.options else {"splits": SPLITS})),
         deadline=Deadline.after(question.timeout),
         workers=1,
     )
-    result = found.verified_result or found.falsified_result
+    result = found.verified_result or found.falsified_result or found.unproved_result
     radius = RadiusFound(
         None if found.verified is None else decimal_text(found.verified),
         None if found.falsified is None else decimal_text(found.falsified),
@@ -124,6 +123,8 @@ def _search(question: Question, policy: str, specification: str) -> Figures:
         tuple((decimal_text(tried), verdict.value) for tried, verdict in found.tried),
     )
     if result is None:
-        # nothing is proved either way: the smallest radius says why
-        result = verify(policy, specification, options=question.numerics(), epsilon=Fraction(0), workers=1)
+        raise AssertionError("a search that found nothing says why")
+    if found.stopped:
+        note = f"the search was ended by its {found.stopped}: a larger radius may verify, a smaller one may fail"
+        result = replace(result, notes=(*result.notes, note))
     return with_radius(figures_of(result), radius)
