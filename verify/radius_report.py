@@ -35,7 +35,7 @@ def radius_lines(found: RadiusSearch) -> list[str]:
 def radius_details(found: RadiusSearch) -> list[str]:
     """Everything else that a person wants to know: what was tried, what lies between the answers, times."""
     tried = [("radius", "verdict"), *((signed_text(radius), verdict.value) for radius, verdict in found.tried)]
-    lines = [*table(tried), "", *_between(found)]
+    lines = [*table(tried), *_between(found)]
     if found.stopped:
         lines += [f"{found.stopped}: more may be true of the radii in between"]
     if found.verified_result is not None:
@@ -47,17 +47,18 @@ def radius_details(found: RadiusSearch) -> list[str]:
 
 
 def _between(found: RadiusSearch) -> list[str]:
-    """What is not known."""
+    """What is not known, after an empty line."""
     if found.falsified is None:
         if found.verified == found.most:
-            return [f"{signed_text(found.most)} is the largest radius of the search"]
-        return [f"no radius up to {signed_text(found.most)} is FALSIFIED"]
+            return ["", f"{signed_text(found.most)} is the largest radius of the search"]
+        return ["", f"no radius up to {signed_text(found.most)} is FALSIFIED"]
     if found.verified is None:
         return []
     gap = found.falsified - found.verified
     return [
+        "",
         f"not known: the radii above {signed_text(found.verified)} and below {signed_text(found.falsified)}, "
-        f"{signed_text(gap)} (resolution {signed_text(found.resolution)})"
+        f"{signed_text(gap)} (resolution {signed_text(found.resolution)})",
     ]
 
 
