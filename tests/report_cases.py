@@ -1,4 +1,4 @@
-"""Reports for the tests of the report formats: rows of real results, and made-up ones with everything that can occur."""
+"""Reports for the tests of the report formats: rows of real results, and made-up ones of every kind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ from setrl.verify.certification.document import (
     Why,
 )
 from setrl.verify.certification.reports.picture import picture_of
-from setrl.verify.result import Flowpipe, Result
+from setrl.verify.result import Result
+from setrl.verify.wording import quantity
 
 HOSTILE = (
     "<script>alert(1)</script>.onnx",
@@ -90,7 +91,7 @@ def row_of(result: Result, policy: str, specification: str, epsilon: str | None 
     if result.certificate is not None or result.witness is not None:
         kind = "certificate" if result.witness is None else "witness"
         content = result.certificate or b"" if result.witness is None else result.witness.content.encode()
-        detail = f"{result.leaves} cells proved again" if result.witness is None else result.witness.grade
+        detail = f"{quantity(result.leaves, 'cell')} proved again" if result.witness is None else result.witness.grade
         name = f"evidence/{Path(policy).stem}-{specification}-{epsilon or 'own'}.{kind[:4]}"
         evidence = Evidence(kind, name, hashlib.sha256(content).hexdigest(), len(content), detail)
     passed = outcome is Outcome.VERIFIED
@@ -138,11 +139,7 @@ def real_row(policy: str, specification: str, epsilon: str | None = None, **more
     return row_of(real(policy, specification, epsilon), f"policies/{policy}.onnx", specification, epsilon, **more)
 
 
-def without_evidence(flowpipe: Flowpipe) -> bool:
-    return not len(flowpipe.points)
-
-
-def made_up(name: str, outcome: Outcome, **more: Any) -> Row:
+def made_up(name: str, outcome: Outcome, /, **more: Any) -> Row:
     """A row of which everything is invented."""
     passed = outcome is Outcome.VERIFIED
     proved = outcome is Outcome.VERIFIED
@@ -196,7 +193,9 @@ def report_of(*rows: Row, baseline: Baseline | None = None) -> Report:
 def every_outcome() -> Report:
     """One row of each kind, changes against a baseline, a search, an expected violation, an allowed UNKNOWN."""
     verified = made_up("good.onnx", Outcome.VERIFIED)
-    found = RadiusFound("0.2", "0.8", "0.05", (("0.1", "VERIFIED"), ("0.2", "VERIFIED"), ("0.4", "UNKNOWN"), ("0.8", "FALSIFIED")))
+    found = RadiusFound(
+        "0.2", "0.8", "0.05", (("0.1", "VERIFIED"), ("0.2", "VERIFIED"), ("0.4", "UNKNOWN"), ("0.8", "FALSIFIED"))
+    )
     rows = (
         verified,
         made_up("allowed.onnx", Outcome.UNKNOWN, passed=True, exit_code=0, objections=(), allow_unknown=True),
@@ -218,7 +217,9 @@ def every_outcome() -> Report:
         made_up("better.onnx", Outcome.VERIFIED, change=Change(verdict=("UNKNOWN", "VERIFIED"), radius=(None, "0.1"))),
         made_up("unchanged.onnx", Outcome.VERIFIED, change=Change()),
     )
-    base = Baseline("main/certification.json", sha("base"), "0.01", ("gone.onnx x hover.yaml",), ("good.onnx x hover.yaml",))
+    base = Baseline(
+        "main/certification.json", sha("base"), "0.01", ("gone.onnx x hover.yaml",), ("good.onnx x hover.yaml",)
+    )
     return report_of(*rows, baseline=base)
 
 

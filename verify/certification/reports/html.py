@@ -56,7 +56,9 @@ def render(report: Report) -> str:
 
 def _header(report: Report, curves: bool) -> Markup:
     failed = len(report.failed)
-    title = "Every row passes" if not failed else f"{quantity(failed, 'row')} {'does' if failed == 1 else 'do'} not pass"
+    title = (
+        "Every row passes" if not failed else f"{quantity(failed, 'row')} {'does' if failed == 1 else 'do'} not pass"
+    )
     links = [("changes", "What changed")] if report.baseline is not None else []
     links += [("rows", "All rows")]
     links += [("values", "V(s0) over the radius")] if curves else []
@@ -79,7 +81,9 @@ def _shares(report: Report) -> Markup:
     for outcome, count in report.counts.items():
         width = 100.0 * count / total
         class_ = f"share-{outcome.lower()}"
-        parts.append(tag("rect", x=f"{at:.3f}", y="0", width=f"{max(width - 0.25, 0.1):.3f}", height="4", class_=class_))
+        parts.append(
+            tag("rect", x=f"{at:.3f}", y="0", width=f"{max(width - 0.25, 0.1):.3f}", height="4", class_=class_)
+        )
         at += width
     said = ", ".join(f"{count} {outcome}" for outcome, count in report.counts.items())
     bar = tag(
@@ -106,7 +110,9 @@ def _changes(report: Report) -> Markup | None:
             first = [tag("a", tag("bdi", row.name), href=f"#{anchor(row)}")] if position == 0 else []
             note = "; ".join(change.regressions) if position == 0 else ""
             worse = tag("td", f"▼ {note}", class_="worse") if note else tag("td")
-            lines.append(tag("tr", tag("td", first, class_="name"), [tag("td", t) for t in (name, before, after)], worse))
+            lines.append(
+                tag("tr", tag("td", first, class_="name"), [tag("td", t) for t in (name, before, after)], worse)
+            )
     table = _scrolled(["row", "what", "before", "now", "worse by more than the tolerance"], lines, "Changes")
     return tag(
         "section",
@@ -137,7 +143,7 @@ def _scrolled(head: Sequence[str], lines: Sequence[Markup], title: str, numbers:
 
 
 def _table(report: Report) -> Markup:
-    head = ["policy × specification", "radius", "verdict", "gate", "margin", "V(s0)", "known", "time"]
+    head = ["verdict", "policy × specification", "radius", "gate", "margin", "V(s0)", "known", "time"]
     lines = [_line(row) for row in report.rows]
     return tag(
         "section",
@@ -148,18 +154,20 @@ def _table(report: Report) -> Markup:
 
 
 def _line(row: Row) -> Markup:
-    name = tag("a", tag("bdi", row.policy.name or "?"), " × ", tag("bdi", row.specification.name), href=f"#{anchor(row)}")
+    name = tag(
+        "a", tag("bdi", row.policy.name or "?"), " × ", tag("bdi", row.specification.name), href=f"#{anchor(row)}"
+    )
     gate = "passes" if row.passed else tag("span", "does not pass", class_="gate-no")
     margin = phrases.margin_text(row.margin) if row.requirements else ""
     total = row.timings.get("total")
     return tag(
         "tr",
+        tag("td", badge(row.outcome)),
         tag("td", name, class_="name"),
         tag("td", phrases.found_text(row) if row.radius is not None else phrases.radius_text(row)),
-        tag("td", badge(row.outcome)),
         tag("td", gate),
         tag("td", margin, class_="num"),
-        tag("td", phrases.value_text(row.value), class_="num"),
+        tag("td", phrases.value_of(row), class_="num"),
         tag("td", row.source.value),
         tag("td", phrases.seconds_text(total), class_="num"),
     )
@@ -235,7 +243,11 @@ _TERMS = (
     ("ERROR, INTERNAL", "The row's files cannot be used; setrl itself failed. Nothing is said about the policy."),
     ("gate", "Whether the row is what the manifest asks for: expected verdict, least V(s0), no loss to the baseline."),
     ("margin", "Smallest signed distance of all reachable sets to a violation, rounded down; above zero is proof."),
-    ("V(s0)", "Verified performance: a lower bound of the discounted return of every trajectory, rounded down."),
+    (
+        "V(s0)",
+        "Verified performance: a lower bound of the discounted return of every trajectory, rounded down; in "
+        "parentheses the engine's bound, where no certificate backs it.",
+    ),
     (
         "known",
         "proved: decided in this run. journal: decided before, and nothing that it depends on has changed. rechecked: "

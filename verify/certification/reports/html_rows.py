@@ -34,6 +34,14 @@ def badge(outcome: Outcome) -> Markup:
     return tag("span", sign, outcome.value, class_=f"badge {outcome.value.lower()}")
 
 
+def prose(text: str) -> Markup:
+    """A sentence in which what stands in backticks is set as code."""
+    parts = visible(text).split("`")
+    if len(parts) % 2 == 0:  # one backtick has no partner
+        return join([text])
+    return join(tag("code", part) if position % 2 else part for position, part in enumerate(parts))
+
+
 def row_details(row: Row, pictured: bool, opened: bool) -> Markup:
     """A row that opens and closes.
 
@@ -50,7 +58,7 @@ def row_details(row: Row, pictured: bool, opened: bool) -> Markup:
     if row.requirements:
         facts.append(f"margin {phrases.margin_text(row.margin)}")
     if row.value is not None:
-        facts.append(f"V(s0) {phrases.value_text(row.value)}")
+        facts.append(f"V(s0) {phrases.value_of(row)}")
     summary = tag(
         "summary",
         badge(row.outcome),
@@ -74,7 +82,7 @@ def row_details(row: Row, pictured: bool, opened: bool) -> Markup:
 def _found(row: Row) -> Markup:
     verified = row.outcome is Outcome.VERIFIED
     class_ = "claim" if verified else f"reason {row.outcome.value.lower()}"
-    return tag("p", f"{row.outcome.value}: {phrases.finding(row)}", class_=class_)
+    return tag("p", tag("strong", row.outcome.value), ": ", prose(phrases.finding(row)), class_=class_)
 
 
 def _objections(row: Row) -> Markup | None:
@@ -83,7 +91,7 @@ def _objections(row: Row) -> Markup | None:
         as_expected = row.outcome is not Outcome.VERIFIED
         said = f"It passes: the manifest expects {expected}." if expected else "It passes: UNKNOWN is allowed here."
         return tag("p", said) if as_expected else None
-    return join([tag("h3", "Why it does not pass"), tag("ul", [tag("li", text) for text in row.objections])])
+    return join([tag("h3", "Why it does not pass"), tag("ul", [tag("li", prose(text)) for text in row.objections])])
 
 
 def _why(why: Why | None) -> Markup | None:
@@ -97,7 +105,7 @@ def _why(why: Why | None) -> Markup | None:
         ("proved part", f"{min(100.0 * why.verified_part, 99.99):.4g} %" if why.verified_part > 0.0 else ""),
         ("try", why.remedy),
     ]
-    entries = [join([tag("dt", name), tag("dd", text)]) for name, text in facts if text]
+    entries = [join([tag("dt", name), tag("dd", prose(text))]) for name, text in facts if text]
     return tag("dl", entries) if entries else None
 
 
@@ -115,6 +123,8 @@ def _figures(row: Row) -> Markup | None:
         if curve is not None:
             engine = "Margin of every control period, by the engine; above zero is proof."
             figures.append(_figure(curve, [tag("strong", tag("bdi", entry.name)), f". {engine}"]))
+    if len(figures) > 2:  # the large one beside the others
+        figures = [figures[0], tag("div", figures[1:], class_="stack")]
     return tag("div", figures, class_="charts") if figures else None
 
 
@@ -124,7 +134,11 @@ def _figure(drawn: Markup, caption: object) -> Markup:
 
 def _picture_caption(picture: dict[str, Any]) -> str:
     said = [f"Blue: boxes around all reachable states, {quantity(picture['cells'], 'cell')}."]
-    said.append("Hatched: forbidden. Dotted: goal. Framed: initial set.")
+    regions = picture["regions"] if picture["kind"] == "plane" else [b for p in picture["panels"] for b in p["bands"]]
+    kinds = {region["kind"] for region in regions}
+    said += ["Hatched: forbidden."] if kinds & {"avoid", "stay"} else []
+    said += ["Dotted: goal."] if "reach" in kinds else []
+    said.append("Framed: initial set.")
     if picture["witness"] is not None:
         said.append("Red: the trajectory of the witness, its violation marked.")
     if picture["truncated_at"] is not None:
@@ -162,7 +176,7 @@ def _requirement(entry: RequirementRow, row: Row) -> Markup:
 def _list(title: str, sentences: tuple[str, ...]) -> Markup | None:
     if not sentences:
         return None
-    return join([tag("h3", title), tag("ul", [tag("li", sentence) for sentence in sentences])])
+    return join([tag("h3", title), tag("ul", [tag("li", prose(sentence)) for sentence in sentences])])
 
 
 def _facts(row: Row) -> Markup:
@@ -173,9 +187,11 @@ def _facts(row: Row) -> Markup:
     value = row.value
     undiscounted = ""
     if value is not None:
-        undiscounted = f"{phrases.value_text(value)} with discount {number(value.discount)}"
+        undiscounted = f"{phrases.value_of(row)} with discount {number(value.discount)}"
         if value.undiscounted is not None:
             undiscounted += f", ≥ {phrases.bound_text(value.undiscounted)} undiscounted"
+        if row.outcome is not Outcome.VERIFIED:
+            undiscounted += "; the engine's bounds, without a certificate"
     facts: list[tuple[str, object]] = [
         ("V(s0)", undiscounted),
         ("certified radius", phrases.found_text(row)),

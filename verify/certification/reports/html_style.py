@@ -18,7 +18,7 @@ STYLE = """
 --ground:#11151a;--sheet:#181d24;--ink:#e4e8ed;--soft:#a5afbc;--rule:#323a45;--faint:#232a33;--link:#85bdf0;
 --verified:#6fd6ab;--unknown:#e6ba62;--falsified:#ff9a80;--broken:#e09be4;
 --verified-ground:#123126;--unknown-ground:#33280f;--falsified-ground:#3b1c14;--broken-ground:#331936;
---pipe:#63b3e8;--pipe-fill:#24465e;--avoid:#ff9a62;--goal:#57d0a3;--start:#e4e8ed;--witness:#ff8a70}}
+--pipe:#6bb9ec;--pipe-fill:#2b5877;--avoid:#ff9a62;--goal:#57d0a3;--start:#e4e8ed;--witness:#ff8a70}}
 *{box-sizing:border-box}
 html{-webkit-text-size-adjust:100%}
 body{margin:0;background:var(--ground);color:var(--ink);font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,
@@ -49,7 +49,7 @@ font-weight:600;letter-spacing:.02em;white-space:nowrap;border:1px solid current
 .badge.unknown{color:var(--unknown);background:var(--unknown-ground);border-style:dashed}
 .badge.falsified{color:var(--falsified);background:var(--falsified-ground);border-width:2px}
 .badge.error,.badge.internal{color:var(--broken);background:var(--broken-ground);border-style:double;border-width:3px}
-.gate-no{color:var(--falsified);font-weight:600}
+.gate-no{color:var(--falsified);font-weight:600;white-space:nowrap}
 .worse{color:var(--falsified)}
 .scroll{overflow-x:auto;-webkit-overflow-scrolling:touch;border:1px solid var(--rule);border-radius:8px;
 background:var(--sheet)}
@@ -59,8 +59,9 @@ th,td{text-align:left;vertical-align:top;padding:.5rem .8rem;border-bottom:1px s
 tr:last-child>td{border-bottom:0}
 th{font-weight:600;color:var(--soft);font-size:.8125rem;white-space:nowrap;border-bottom-color:var(--rule)}
 td.num,th.num{text-align:right;white-space:nowrap}
-td.name{min-width:13rem;max-width:26rem;overflow-wrap:anywhere}
-.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,27rem),1fr));gap:1rem}
+td.name{min-width:11rem;max-width:26rem;overflow-wrap:anywhere}
+.charts{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,27rem),1fr));gap:1rem;align-items:start}
+.stack{display:grid;gap:1rem;min-width:0}
 figure{margin:0;border:1px solid var(--rule);border-radius:8px;background:var(--sheet);padding:.7rem .6rem .6rem;
 min-width:0}
 figure>.view{overflow-x:auto}
@@ -93,7 +94,8 @@ svg .avoid-name,svg .stay-name{fill:var(--avoid)}
 svg .reach-name{fill:var(--goal)}
 .grid{stroke:var(--faint);fill:none}
 .axis{stroke:var(--soft);fill:none}
-.pipe,.pipe-times{fill:var(--pipe-fill);stroke:var(--pipe-fill);stroke-width:.7}
+.pipe{fill:var(--pipe-fill);stroke:var(--pipe-fill);stroke-width:.7}
+.pipe-times{fill:var(--pipe-fill);stroke:var(--pipe);stroke-opacity:.3;stroke-width:.7}
 .pipe-points{fill:none;stroke:var(--pipe);stroke-width:.8}
 .avoid,.outside{fill:var(--avoid);fill-opacity:.13}
 .avoid-edge{fill:url(#hatch-avoid);stroke:var(--avoid);stroke-width:1.3}
@@ -110,7 +112,7 @@ svg .reach-name{fill:var(--goal)}
 .unproved{stroke-dasharray:3 4}
 .zero{stroke:var(--ink);stroke-width:1}
 .below-zero{fill:url(#hatch-avoid);stroke:none}
-.radius{stroke:var(--verified);stroke-width:5;stroke-opacity:.55;fill:none}
+.radius{stroke:var(--verified);stroke-width:5;stroke-opacity:.3;fill:none}
 .mark-verified{fill:var(--verified);stroke:var(--sheet)}
 .mark-unknown{fill:var(--sheet);stroke:var(--unknown);stroke-width:2}
 .share-verified{fill:var(--verified)}

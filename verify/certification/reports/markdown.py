@@ -50,6 +50,8 @@ def render(report: Report, limit: int = LIMIT) -> str:
         size, kept = size + _size(line), kept + 1
         lines.append(line)
     text += "".join(lines) + _rest(len(rows) - kept, "row")
+    if any(row.value is not None and row.outcome is not Outcome.VERIFIED for row in rows[:kept]):
+        text += "\nV(s0) in parentheses: the engine's bound, without a certificate.\n"
     size = _size(text)
     blocks = [_details(row) for row in rows if not row.passed or row.outcome is not Outcome.VERIFIED]
     shown: list[str] = []
@@ -98,14 +100,14 @@ def _line(row: Row) -> str:
     margin = phrases.margin_text(row.margin) if row.requirements else ""
     if row.search:
         verdict += f", {literal(phrases.found_text(row), _NAME)}" if row.radius is not None else ""
-    cells = [name, literal(phrases.radius_text(row), 60), verdict, gate, margin, phrases.value_text(row.value)]
+    cells = [name, literal(phrases.radius_text(row), 60), verdict, gate, margin, phrases.value_of(row)]
     return f"| {' | '.join(cells)} |"
 
 
 def _details(row: Row) -> str:
     """What a row is about that is not VERIFIED or does not pass: why, and what to do."""
     summary = f"{_SIGNS[row.outcome]} {row.outcome.value}: {name_of(row.name)}"
-    lines = [f"\n<details><summary>{summary}</summary>\n", f"{literal(phrases.finding(row))}.\n"]
+    lines = [f"\n<details><summary>{summary}</summary>\n", f"**{row.outcome.value}**: {literal(phrases.finding(row))}\n"]
     facts: list[tuple[str, str]] = []
     if row.objections:
         facts.append(("gate", "; ".join(row.objections)))

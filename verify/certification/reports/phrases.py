@@ -48,6 +48,12 @@ def value_text(value: ValueRow | None) -> str:
     return "no lower bound" if value.discounted is None else f"≥ {at_least(value.discounted, 5)}"
 
 
+def value_of(row: Row) -> str:
+    """V(s0) of a row; in parentheses where it is the engine's word alone, without a certificate."""
+    text = value_text(row.value)
+    return f"({text})" if text and row.outcome is not Outcome.VERIFIED else text
+
+
 def seconds_text(seconds: float | None) -> str:
     """A duration."""
     if seconds is None:

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 MOST_POINTS = 200
 """Of the trajectory of a witness."""
+MOST_OUTLINES = 200
+"""Time-point sets that are outlined."""
 
 
 def picture_of(result: Result) -> dict[str, Any]:
@@ -75,14 +77,15 @@ def _plane(
         places = [[grid.near(x) for grid, x in zip(grids, row, strict=True)] for row in path[1][:, plane].tolist()]
         witness = {"path": places, "mark": path[2], "time": path[0][path[2]]}
     intervals = flowpipe.points if loop.plant.discrete else flowpipe.intervals
+    many = flowpipe.points.shape[0] * flowpipe.points.shape[1] > MOST_OUTLINES  # which hide each other
     return {
         "kind": "plane",
         "axes": [_axis(loop, state) for state in plane],
         "equal": same_unit(loop, plane),
         "view": [[grid.low(low), grid.high(high)] for grid, low, high in zip(grids, *view.tolist(), strict=True)],
         "regions": [_region(loop, entry, plane, view, grids) for entry in loop.requirements],
-        "boxes": boxes_in_plane(intervals[..., plane], grids, len(flowpipe.points[0]) if len(flowpipe.points) else 1),
-        "points": [] if loop.plant.discrete else boxes_in_plane(flowpipe.points[..., plane], grids, 1, most=160),
+        "boxes": boxes_in_plane(intervals[..., plane], grids),
+        "points": [] if loop.plant.discrete or many else boxes_in_plane(flowpipe.points[..., plane], grids),
         "initial": [side(float(loop.initial[s][k])) for k in (0, 1) for s, side in _sides(plane, grids, k)],
         "clock": _clock(flowpipe, plane, grids),
         "witness": witness,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from ...result import Flowpipe
 Array = NDArray[np.float64]
 
 MOST_BOXES = 600
+STRIPS = 200
+"""At first; fewer where the union still has too many parts."""
 
 
 @dataclass(frozen=True)
@@ -63,42 +66,39 @@ class Grid:
         return number or 0.0  # no minus sign before a zero
 
 
-def boxes_in_plane(bounds: Array, grids: Sequence[Grid], periods: int, most: int = MOST_BOXES) -> list[list[float]]:
-    """Boxes (cells, P, 2, 2) as at most about `most` of (x, y, x, y), in the order of time; what is not finite is left out.
+def boxes_in_plane(bounds: Array, grids: Sequence[Grid], most: int = MOST_BOXES) -> list[list[float]]:
+    """Boxes (cells, P, 2, 2) as (x, y, x, y); what is not finite is left out.
 
-    Consecutive boxes of a cell are joined, as far as one box per control period; beyond that neighbouring cells.
+    Where there are more than `most`, their union is cut into horizontal strips, each as wide as the boxes that it
+    touches: however many cells there are, it grows by no more than the height of a strip.
 
     Parameters
     ----------
     bounds : array, shape (cells, P, 2, 2)
     grids : pair of Grid
-    periods : int
-        Time points of the run: P is about a multiple of it.
     most : int
     """
-    cells, parts = bounds.shape[:2]
-    if not cells or not parts:
-        return []
-    per_period = max(parts // max(periods - 1, 1), 1) if periods > 1 else 1
-    run = min(-(-cells * parts // most), per_period)
-    joined = _joined(bounds, run, axis=1)
-    group = -(-joined.shape[0] * joined.shape[1] // most)
-    joined = _joined(joined, min(group, cells), axis=0)
-    joined = _joined(joined, -(-joined.shape[0] * joined.shape[1] // most), axis=1)
-    flat = joined.transpose(1, 0, 2, 3).reshape(-1, 2, 2)
+    flat = bounds.transpose(1, 0, 2, 3).reshape(-1, 2, 2)
     flat = flat[np.isfinite(flat).all(axis=(1, 2))]
     x, y = grids
-    return [[x.low(low[0]), y.low(low[1]), x.high(high[0]), y.high(high[1])] for low, high in flat.tolist()]
+    boxes = [(*low, *high) for low, high in flat.tolist()] if len(flat) <= most else _strips(flat, y, STRIPS)
+    strips = STRIPS
+    while len(boxes) > most:
+        strips = strips * 3 // 4
+        boxes = _strips(flat, y, strips)
+    return [[x.low(left), y.low(low), x.high(right), y.high(high)] for left, low, right, high in boxes]
 
 
-def _joined(bounds: Array, run: int, axis: int) -> Array:
-    """Hulls of `run` consecutive boxes along an axis; one that is not finite leaves its hull without an end."""
-    if run <= 1:
-        return bounds
-    starts = np.arange(0, bounds.shape[axis], run)
-    low = np.minimum.reduceat(bounds[:, :, 0], starts, axis=axis)
-    high = np.maximum.reduceat(bounds[:, :, 1], starts, axis=axis)
-    return np.stack([low, high], axis=2)
+def _strips(boxes: Array, grid: Grid, count: int) -> list[tuple[float, float, float, float]]:
+    """The union of boxes (N, 2, 2) as (x, y, x, y), by `count` strips of what is seen, and one on either side."""
+    third = (grid.most - grid.least) / 3.0  # the view is the middle one
+    seen = np.linspace(grid.least + third, grid.most - third, count + 1)
+    edges = np.concatenate([[grid.least], seen, [grid.most]]).tolist()
+    found = []
+    for low, high in pairwise(edges):
+        touched = boxes[(boxes[:, 0, 1] < high) & (boxes[:, 1, 1] >= low)]
+        found += [(left, low, right, high) for left, right in _union(touched[:, :, 0])]
+    return found
 
 
 def boxes_over_time(flowpipe: Flowpipe, state: int, grid: Grid, discrete: bool, most: int) -> list[list[float]]:
@@ -123,7 +123,7 @@ def boxes_over_time(flowpipe: Flowpipe, state: int, grid: Grid, discrete: bool, 
     width = 0.0 if discrete else horizon / parts
     spacing = flowpipe.period if discrete else width
     run = 1 if discrete else -(-parts // most)
-    bounds = _joined(bounds[..., None], run, axis=1)[..., 0]
+    bounds = _joined(bounds, run)
     found = []
     for number in range(bounds.shape[1]):
         begin = number * run * spacing
@@ -133,15 +133,25 @@ def boxes_over_time(flowpipe: Flowpipe, state: int, grid: Grid, discrete: bool, 
     return found
 
 
+def _joined(bounds: Array, run: int) -> Array:
+    """Hulls of `run` consecutive intervals (cells, P, 2); one that is not finite leaves its hull without an end."""
+    if run <= 1:
+        return bounds
+    starts = np.arange(0, bounds.shape[1], run)
+    low = np.minimum.reduceat(bounds[:, :, 0], starts, axis=1)
+    return np.stack([low, np.maximum.reduceat(bounds[:, :, 1], starts, axis=1)], axis=2)
+
+
 def _union(intervals: Array) -> list[tuple[float, float]]:
     """Intervals (cells, 2) as disjoint ones, in ascending order; what is not finite is left out."""
-    found: list[tuple[float, float]] = []
-    for low, high in sorted(intervals[np.isfinite(intervals).all(axis=1)].tolist()):
-        if found and low <= found[-1][1]:
-            found[-1] = found[-1][0], max(found[-1][1], high)
-        else:
-            found.append((low, high))
-    return found
+    finite = intervals[np.isfinite(intervals).all(axis=1)]
+    if not len(finite):
+        return []
+    low, high = finite[finite[:, 0].argsort(kind="stable")].T
+    reach = np.maximum.accumulate(high)
+    first = np.concatenate([[True], low[1:] > reach[:-1]])
+    last = np.concatenate([first[1:], [True]])
+    return list(zip(low[first].tolist(), reach[last].tolist(), strict=True))
 
 
 def truncated_at(flowpipe: Flowpipe, discrete: bool) -> float | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import pairwise
 
 from ...wording import number
 from ..document import Outcome, RadiusFound, RequirementRow, Row
@@ -36,7 +37,7 @@ def draw_values(rows: Sequence[tuple[float, Row]], title: str) -> Markup:
     radii = [radius for radius, _ in rows]
     frame = Frame(_padded(radii), _padded([value for _, value, _ in places]), _INNER, 190.0)
     lines: list[Markup] = []
-    for (x, y, outcome), (next_x, next_y, following) in zip(places[:-1], places[1:], strict=True):
+    for (x, y, outcome), (next_x, next_y, following) in pairwise(places):
         proved = outcome is following is Outcome.VERIFIED
         path = frame.line([(x, y), (next_x, next_y)])
         lines.append(tag("path", d=path, class_="curve" if proved else "curve unproved"))
@@ -72,14 +73,15 @@ def draw_margins(requirement: RequirementRow, period: float, title: str) -> Mark
     if not known or period <= 0.0:
         return None
     horizon = period * max(len(requirement.curve) - 1, 1)
-    frame = Frame((0.0, horizon), _with_zero(known), _INNER, 110.0)
+    ends = _with_zero(known)
+    frame = Frame((0.0, horizon), ends, _INNER, 110.0)
     path, open_ = "", False
     for position, margin in enumerate(requirement.curve):
         if margin is None:
             open_ = False
             continue
         begin = period * max(position - 1, 0)
-        x, y, end = frame.px(begin), frame.py(margin), frame.px(period * position)
+        x, y, end = frame.px(begin), frame.py(max(margin, ends[0])), frame.px(period * position)
         path += f"{'L' if open_ else 'M'}{x:.1f} {y:.1f}H{end:.1f}"
         open_ = True
     floor = frame.py(0.0)
@@ -89,15 +91,22 @@ def draw_margins(requirement: RequirementRow, period: float, title: str) -> Mark
         tag("path", d=f"M{LEFT:g} {floor:.1f}H{frame.right:g}", class_="zero"),
         tag("path", d=path, class_="curve"),
     ]
+    if min(known) < ends[0]:
+        parts.append(label(f"↓ {number(min(known))}", frame.right - 6, frame.bottom - 7, "end", "note"))
     if len(known) == 1:  # a line of no length
         at = next(k for k, margin in enumerate(requirement.curve) if margin is not None)
-        parts.append(tag("circle", cx=f"{frame.px(period * at):.1f}", cy=f"{frame.py(known[0]):.1f}", r="3.5", class_="dot"))
+        parts.append(
+            tag("circle", cx=f"{frame.px(period * at):.1f}", cy=f"{frame.py(known[0]):.1f}", r="3.5", class_="dot")
+        )
     description = f"Smallest {number(min(known))}, largest {number(max(known))}; above zero is proof."
     return drawing(WIDTH, 110.0 + TOP + BOTTOM, title, description, *parts)
 
 
 def _with_zero(values: Sequence[float]) -> tuple[float, float]:
-    low, high = min(*values, 0.0), max(*values, 0.0)
+    """Ends of an axis that shows zero; what falls far below it is cut, so that the margins before can be read."""
+    low, high = min([*values, 0.0]), max([*values, 0.0])
+    if high > 0.0:
+        low = max(low, -2.0 * high)
     room = 0.08 * (high - low) or 1.0
     return low - room if low < 0.0 else 0.0 - room / 2, high + room
 
@@ -128,6 +137,8 @@ def draw_search(found: RadiusFound, title: str) -> Markup | None:
         if at - last > 44.0:
             labels.append(label(number(radius), at, scale, "middle", "tick"))
             last = at
-    axis = label("radius of the observation perturbation", frame.left + frame.width / 2, scale + 18, "middle", "axis-name")
+    axis = label(
+        "radius of the observation perturbation", frame.left + frame.width / 2, scale + 18, "middle", "axis-name"
+    )
     description = "; ".join(f"{number(radius)}: {verdict}" for radius, verdict in tried)
     return drawing(WIDTH, 26.0 + TOP + BOTTOM, title, description, line, proved, *marks, *labels, axis)

@@ -167,7 +167,9 @@ def _times(picture: Mapping[str, Any], title: str) -> Markup:
     parts: list[Markup] = []
     for number_, panel in enumerate(panels):
         low, high = panel["view"]
-        frame = Frame((-0.015 * horizon, 1.015 * horizon), (low, high), _INNER, height, LEFT, TOP + number_ * (height + gap))
+        frame = Frame(
+            (-0.015 * horizon, 1.015 * horizon), (low, high), _INNER, height, LEFT, TOP + number_ * (height + gap)
+        )
         last = number_ == len(panels) - 1
         parts += _panel(panel, picture["witness"], frame, "time (s)" if last else "")
     total = TOP + len(panels) * (height + gap) - gap + BOTTOM

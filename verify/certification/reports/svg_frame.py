@@ -1,4 +1,4 @@
-"""Axes of a drawing in SVG: from numbers to pixels, ticks, labels. Colours are classes, which the page's theme fills."""
+"""Axes of a drawing in SVG: from numbers to pixels, ticks, labels. Colours are classes; the page's theme has them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Frame:
             at = _short(self.px(value))
             parts.append(tag("path", d=f"M{at} {_short(self.top)}V{_short(self.bottom)}", class_="grid"))
             parts.append(label(number(value), self.px(value), self.bottom + 15, "middle", "tick"))
-        for value in ticks(*self.y, count=max(2, min(5, int(self.height / 34)))):
+        for value in ticks(*self.y, count=max(3, min(5, int(self.height / 34)))):
             at = _short(self.py(value))
             parts.append(tag("path", d=f"M{_short(self.left)} {at}H{_short(self.right)}", class_="grid"))
             parts.append(label(number(value), self.left - 6, self.py(value) + 4, "end", "tick"))
@@ -143,6 +143,6 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     """About `count` round numbers within an interval: multiples of 1, 2 or 5 times a power of ten."""
     rough = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(rough))
-    step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= 0.999 * rough)
+    step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= 0.7 * rough)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [float(f"{k * step:.12g}") for k in range(first, last + 1)]

@@ -15,10 +15,10 @@ _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 
 
 def visible(text: str, longest: int = LONGEST) -> str:
-    """One line of the same text in which every character can be seen.
+    r"""One line of the same text in which every character can be seen.
 
     Line breaks and tabs become blanks; any other character that shows nothing, or that changes how its neighbours are
-    shown, becomes its code, ``\\u202e``. What is left can be written as UTF-8 and stands in any XML document.
+    shown, becomes its code, ``\u202e``. What is left can be written as UTF-8 and stands in any XML document.
 
     Parameters
     ----------
