@@ -47,6 +47,16 @@ def within(seconds: float, condition: Any) -> bool:
     return True
 
 
+def descendants(parent: int) -> set[int]:
+    """Processes that a process has started, and those that they have started."""
+    children = {
+        int(child)
+        for thread in Path(f"/proc/{parent}/task").iterdir()
+        for child in (thread / "children").read_text().split()
+    }
+    return children.union(*(descendants(child) for child in children if Path(f"/proc/{child}").exists()))
+
+
 LOST = {
     "time": (
         task(executor_tasks.sleep, 60, seconds=0.3),

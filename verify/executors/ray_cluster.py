@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import socket
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -20,6 +21,9 @@ from .task import Broken, Lost, Task, TaskOutcome
 
 RETRIES = 3
 """How often a task is given to another process of the cluster when the one that had it, or its machine, was lost."""
+
+_REACH = 10.0
+"""Seconds within which the cluster's address has to accept a connection."""
 
 _PROBE = 60.0
 """Seconds within which a machine of the cluster has to say which setrl it has."""
@@ -48,7 +52,8 @@ class RayExecutor:
     ------
     UsageError
         Fewer than one worker, or a number of them for a cluster that has its own. On entering the context: Ray is not
-        installed, there is no such cluster, or setrl is not the same there.
+        installed, the process is connected to a cluster already, there is no such cluster, or setrl is not the same
+        there.
     """
 
     def __init__(self, workers: int | None = None, *, address: str | None = None, path: Sequence[str] = ()) -> None:
@@ -65,7 +70,6 @@ class RayExecutor:
         self._path = tuple(os.path.abspath(folder) for folder in path)
         self._ray: Any = None
         self._function: Any = None
-        self._owned = False
         self._count = 0
         self._pending: dict[Any, int] = {}
         self._since: dict[int, float] = {}
@@ -108,11 +112,13 @@ class RayExecutor:
         return sorted((number, now - start) for number, start in self._since.items())
 
     def __enter__(self) -> Self:
-        self._ray = _ray()
-        self._owned = not self._ray.is_initialized()  # a caller's own connection is used, and left to him
+        ray = _ray()
+        if ray.is_initialized():
+            raise UsageError("this process is connected to a cluster already", remedy="ray.shutdown() disconnects it")
+        self._ray = ray
+        _print_messages(ray, False)
         try:
-            if self._owned:
-                self._connect()
+            self._connect()
             if self._address != "local":
                 _require_same_setrl(self._ray, self._address)
             self._workers = int(self._ray.cluster_resources().get("CPU", 1))
@@ -140,8 +146,9 @@ class RayExecutor:
                 )
             return
         try:
+            _require_reachable(self._address)
             self._ray.init(self._address, **quiet)
-        except (ConnectionError, RuntimeError, ValueError) as error:
+        except (OSError, OverflowError, RuntimeError, ValueError, self._ray.exceptions.RayError) as error:
             text = " ".join(str(error).split())
             raise UsageError(
                 f"there is no cluster to be used at {self._address}: {text}",
@@ -149,13 +156,17 @@ class RayExecutor:
             ) from error
 
     def _leave(self) -> None:
-        for reference in self._pending:
-            self._ray.cancel(reference, force=True)
-        self._pending.clear()
-        self._since.clear()
-        if self._owned:
+        if self._ray is None:
+            return
+        try:
+            for reference in self._pending:
+                self._ray.cancel(reference, force=True)
+        finally:
             self._ray.shutdown()
-        self._ray, self._owned = None, False
+            _print_messages(self._ray, True)
+            self._pending.clear()
+            self._since.clear()
+            self._ray = None
 
     def _mark(self) -> None:
         """Since when the oldest tasks are taken to run."""
@@ -184,6 +195,11 @@ def _ray() -> Any:
     return ray
 
 
+def _print_messages(ray: Any, wanted: bool) -> None:
+    """Ray prints to stdout, which belongs to the caller's output, what an outcome says: that a process was lost."""
+    ray._private.worker._worker_logs_enabled = wanted  # the switch that its own debugger uses; there is no public one
+
+
 @contextmanager
 def _environment_of_cluster() -> Iterator[None]:
     """Within, a process that is started imports what this one does, and reports its use to nobody unless told to.
@@ -200,6 +216,13 @@ def _environment_of_cluster() -> Iterator[None]:
             os.environ.pop(name, None)
             if name in before:
                 os.environ[name] = before[name]
+
+
+def _require_reachable(address: str) -> None:
+    """Raise OSError where nothing listens: Ray itself would go on asking for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdigit():  # "auto" is no address: Ray knows what runs on this machine
+        socket.create_connection((host.strip("[]"), int(port)), _REACH).close()
 
 
 def _require_same_setrl(ray: Any, address: str) -> None:
