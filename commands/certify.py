@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .arguments import JsonOption, QuietOption, read_radius, require_workers
+from .arguments import JsonOption, QuietOption, read_radius, require_whole, require_workers
 from .exit_codes import ABORTED
 from .output import print_json, say, tell
 
@@ -63,6 +63,8 @@ def certify_command(
     from ..verify.interruption import interruptible
 
     require_workers(workers)
+    if spread is not None:
+        require_whole("--spread", spread, 1, 1024)
     if recheck and no_cache:
         raise UsageError("excludes --no-cache", where="--recheck", remedy="give one of the two")
     if tolerance is not None and baseline is None:
