@@ -107,7 +107,10 @@ def _line(row: Row) -> str:
 def _details(row: Row) -> str:
     """What a row is about that is not VERIFIED or does not pass: why, and what to do."""
     summary = f"{_SIGNS[row.outcome]} {row.outcome.value}: {name_of(row.name)}"
-    lines = [f"\n<details><summary>{summary}</summary>\n", f"**{row.outcome.value}**: {literal(phrases.finding(row))}\n"]
+    lines = [
+        f"\n<details><summary>{summary}</summary>\n",
+        f"**{row.outcome.value}**: {literal(phrases.finding(row))}\n",
+    ]
     facts: list[tuple[str, str]] = []
     if row.objections:
         facts.append(("gate", "; ".join(row.objections)))

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 from itertools import pairwise
 
+from ....specs.errors import SetrlError
+from ....specs.exact import exact_decimal
 from ...wording import number
 from ..document import Outcome, RadiusFound, RequirementRow, Row
 from .markup import Markup, tag
@@ -13,14 +15,17 @@ from .svg_frame import BOTTOM, LEFT, RIGHT, TOP, Frame, drawing, label, mark
 
 WIDTH = 460.0
 _INNER = WIDTH - LEFT - RIGHT
+LARGEST = 10**9
+"""No axis of radii goes further."""
 
 
 def exact(radius: str) -> Fraction | None:
-    """A radius as a number; None where the text is none."""
+    """A radius as a number; None where the text is none that a radius could have."""
     try:
-        return Fraction(radius)
-    except (ValueError, ZeroDivisionError):
+        value = exact_decimal(radius)
+    except SetrlError:
         return None
+    return value if 0 <= value <= LARGEST else None
 
 
 def draw_values(rows: Sequence[tuple[float, Row]], title: str) -> Markup:
