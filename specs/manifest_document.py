@@ -17,6 +17,9 @@ VERDICTS = ("VERIFIED", "FALSIFIED", "UNKNOWN")
 _UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "kB": 10**3, "MB": 10**6, "GB": 10**9}
 LEAST_MEMORY = 1 << 26
 MOST_RADII = 1000
+LEAST_SECONDS, MOST_SECONDS = Fraction(1, 1000), 10**8
+MOST_RADIUS = 10**9
+"""A search doubles radii up to this: it has to end."""
 
 
 def _verdict(value: object) -> str:
@@ -26,13 +29,27 @@ def _verdict(value: object) -> str:
 
 
 def _memory(value: object) -> int:
-    matched = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,6})?) ?([A-Za-z]+)", value) if isinstance(value, str) else None
-    if matched is None or matched[2] not in _UNITS:
+    if not isinstance(value, str) or not re.fullmatch(_MEMORY, value):
         raise problem(f"expected an amount of memory, found {found(value)}", "write for example 2 GiB or 500 MiB")
-    size = int(Fraction(matched[1]) * _UNITS[matched[2]])
+    amount = value.rstrip("kKMGiB ")
+    size = int(Fraction(amount) * _UNITS[value[len(amount) :].strip()])
     if size < LEAST_MEMORY:
         raise problem(f"expected at least 64 MiB of memory, found {found(value)}", "Python alone needs that")
     return size
+
+
+def _seconds(value: object) -> Fraction:
+    result = number(value)
+    if not LEAST_SECONDS <= result <= MOST_SECONDS:
+        raise problem(f"expected from 0.001 to {MOST_SECONDS} seconds, found {found(value)}", "change it")
+    return result
+
+
+def _radius(value: object) -> Fraction:
+    result = number(value)
+    if not 0 < result <= MOST_RADIUS:
+        raise problem(f"expected more than 0 and at most {MOST_RADIUS}, found {found(value)}", "change it")
+    return result
 
 
 def _count(least: int, most: int) -> PlainValidator:
@@ -73,13 +90,38 @@ def _method(value: object) -> str:
     return str(value)
 
 
-Memory = Annotated[int, PlainValidator(_memory), WithJsonSchema({"type": "string", "pattern": "^[0-9.]+ ?[A-Za-z]+$"})]
+_MEMORY = rf"[0-9]{{1,9}}(\.[0-9]{{1,6}})? ?({'|'.join(_UNITS)})"
+_NUMBER_NOT_NEGATIVE = {"type": "number", "minimum": 0}
+
+Memory = Annotated[int, PlainValidator(_memory), WithJsonSchema({"type": "string", "pattern": f"^{_MEMORY}$"})]
+Seconds = Annotated[
+    Fraction,
+    PlainValidator(_seconds),
+    WithJsonSchema({"type": "number", "minimum": float(LEAST_SECONDS), "maximum": MOST_SECONDS}),
+]
+SearchedRadius = Annotated[
+    Fraction,
+    PlainValidator(_radius),
+    WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": MOST_RADIUS}),
+]
 Verdict = Annotated[str, PlainValidator(_verdict), WithJsonSchema({"enum": list(VERDICTS)})]
 Radii = Annotated[
     tuple[Fraction, ...],
     PlainValidator(_radii),
     WithJsonSchema(
-        {"anyOf": [{"type": ["number", "string"]}, {"type": "array", "items": {"type": "number"}, "minItems": 1}]}
+        {
+            "anyOf": [
+                _NUMBER_NOT_NEGATIVE,
+                {"type": "string", "pattern": "^[0-9eE+.,: -]+$"},
+                {
+                    "type": "array",
+                    "items": _NUMBER_NOT_NEGATIVE,
+                    "minItems": 1,
+                    "maxItems": MOST_RADII,
+                    "uniqueItems": True,
+                },
+            ]
+        }
     ),
 ]
 Method = Annotated[
@@ -116,7 +158,7 @@ class OptionsDocument(Document):
 class SettingsDocument(Document):
     """What an entry may say, and `defaults` for all of them."""
 
-    timeout: Positive | None = None
+    timeout: Seconds | None = None
     """Seconds a row may take; 300 where nothing is said."""
     memory: Memory | None = None
     """Memory a row's process may use, with its unit; 4 GiB where nothing is said."""
@@ -148,10 +190,16 @@ class RadiusDocument(Document):
 
     floor: NonNegative | None = None
     """The row fails where the certified radius is smaller."""
-    most: Positive = Fraction(10)
+    most: SearchedRadius = Fraction(10)
     """Larger radii are not tried."""
     resolution: Positive = Fraction(1, 1000)
     """The search ends when two radii that are known are this close."""
+
+    @model_validator(mode="after")
+    def _reachable(self) -> RadiusDocument:
+        if self.floor is not None and self.floor > self.most:
+            raise problem("larger than the largest radius that is tried", "raise most, or lower the floor", "floor")
+        return self
 
 
 class EntryDocument(SettingsDocument):

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
 from ...specs.errors import InputError
-from ...specs.exact import decimal_text
+from ...specs.exact import decimal_text, exact_decimal
 from ...specs.reader import digest
 from .document import Baseline, Change, Outcome, Report, Row, report_from_json
 
@@ -32,14 +33,40 @@ def read_baseline(path: Path) -> tuple[Report, str]:
         if path.stat().st_size > MOST_BYTES:
             raise InputError(f"no report has more than {MOST_BYTES} bytes", where=str(path), remedy=remedy)
         content = path.read_bytes()
-        return report_from_json(json.loads(content)), digest(content)
+        report = report_from_json(json.loads(content))
+        _require_figures(report)
+        return report, digest(content)
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise InputError(f"cannot read the report: {reason}", where=str(path), remedy=remedy) from None
-    except (ValueError, RecursionError):
+    except (ValueError, OverflowError, RecursionError):
         raise InputError("this is no JSON", where=str(path), remedy=remedy) from None
     except InputError as error:
         raise error if error.where else error.at(str(path)) from None
+
+
+def _require_figures(report: Report) -> None:
+    """What is compared has to be what it seems to be: no comparison passes, and none fails, by a NaN or a text."""
+    names = [row.name for row in report.rows]
+    numbers = [row.value.discounted for row in report.rows if row.value is not None]
+    numbers += [entry.margin for row in report.rows for entry in row.requirements]
+    radii = [row.radius.verified for row in report.rows if row.radius is not None]
+    problem = ""
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        problem = "a row's name is no text, or appears twice"
+    elif not all(number is None or (isinstance(number, float) and math.isfinite(number)) for number in numbers):
+        problem = "a margin or a V(s0) is no number"
+    elif not all(radius is None or (isinstance(radius, str) and _is_decimal(radius)) for radius in radii):
+        problem = "a certified radius is no decimal"
+    if problem:
+        raise InputError(f"the report is damaged: {problem}", remedy="write it again: setrl certify")
+
+
+def _is_decimal(text: str) -> bool:
+    try:
+        return exact_decimal(text) >= 0
+    except InputError:
+        return False
 
 
 def baseline_of(earlier: Report, name: str, sha256: str, rows: Sequence[Row], tolerance: Fraction) -> Baseline:
@@ -80,7 +107,7 @@ def change_of(before: Row, after: Row, tolerance: Fraction) -> Change:
     for name, (old, new) in figures.items():
         changed[name] = None if old == new else (old, new)
         if old is not None and not (new is not None and Fraction(new) >= Fraction(old) - tolerance):
-            regressions.append(f"{name} was {old:g}, is {'not proved' if new is None else f'{new:g}'}")
+            regressions.append(f"{name} was {old!r}, is {'not proved' if new is None else repr(new)}")
     old_radius, new_radius = _radius(before), _radius(after)
     if old_radius is not None and not (
         new_radius is not None and Fraction(new_radius) >= Fraction(old_radius) - tolerance

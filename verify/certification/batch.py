@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -13,12 +13,14 @@ from ...specs.exact import decimal_text
 from ...specs.files import write_atomically
 from ...specs.folders import make_folder
 from ...specs.reader import digest
-from ..executors.task import Answer, Broken, Executor, Lost, Refused, Task, TaskOutcome
+from ..checker.certificate_file import MAGIC
+from ..executors.task import Answer, Broken, Executor, Task, TaskOutcome
 from ..result import Result
 from .document import Evidence, Outcome, Row, Source, Why
 from .figures import Figures
 from .journal import Journal
 from .plan import Planned
+from .rows import blank, is_about, keeps, slug, without_answer
 from .work import Hard
 
 HARD_LIMIT = 1.5, 30.0
@@ -26,10 +28,9 @@ HARD_LIMIT = 1.5, 30.0
 
 CERTIFICATES, WITNESSES = "certificates", "witnesses"
 _SUFFIX = {"certificate": (CERTIFICATES, "cert"), "witness": (WITNESSES, "json")}
-_PASSING = ("time limit", "memory limit")
-"""Resources that a manifest limits: a row that used them up keeps its verdict, one that was lost otherwise does not."""
-
 POLL = 0.5
+AHEAD = 64
+"""Tasks that wait in the executor beside those that run."""
 
 
 @dataclass
@@ -93,15 +94,17 @@ class Batch:
     _spread: dict[str, _Spread] = field(default_factory=dict)
     _seconds: dict[str, float] = field(default_factory=dict)
     _remarks: dict[str, str] = field(default_factory=dict)
+    _waiting: deque[Callable[[], None]] = field(default_factory=deque)
 
     def run(self) -> tuple[Row, ...] | None:
         """Every row, in the plan's order and not judged yet; None where it was stopped before."""
         self.watch.begin(self.planned, self.executor.workers)
         for planned in self.planned:
             self._start(planned)
-        while self._tasks:
+        while self._tasks or self._waiting:
             if self.stop():
                 return None
+            self._feed()
             for number, outcome in self.executor.wait(POLL):
                 self._take(number, outcome)
             names = [
@@ -115,38 +118,52 @@ class Batch:
     def _start(self, planned: Planned) -> None:
         """Answer from the journal, or queue the row's first task."""
         if planned.question is None:
-            self._finish(planned, _blank(planned, Outcome.ERROR, Why("input", planned.problem)))
+            self._finish(planned, blank(planned, Outcome.ERROR, Why("input", planned.problem)))
             return
         first = planned.key not in self._same
         self._same.setdefault(planned.key, []).append(planned)
         if not first:  # the same question under another name
-            if planned.key in self.journal.rows and not self._pending(planned.key):
-                self._finish(planned, self._rows[self._same[planned.key][0].name])
+            decided = self._rows.get(self._same[planned.key][0].name)
+            if decided is not None:
+                self._finish(planned, decided)
             return
         known = self.journal.rows.get(planned.key) if self.cached else None
         content = None if known is None else self._evidence(known)
-        if known is None or not _keeps(known) or (known.evidence is not None and content is None):
-            self._submit(planned, "decide", planned.question)
+        if known is None or not keeps(known) or (known.evidence is not None and content is None):
+            self._waiting.append(lambda: self._submit(planned, "decide", planned.question))
         elif self.recheck and content is not None:
-            question = planned.question
-            if known.radius is not None:
-                at = known.radius.verified if known.outcome is Outcome.VERIFIED else known.radius.falsified
-                question = replace(question, epsilon=None if at is None else Fraction(at))
-            margins = tuple((entry.name, entry.margin) for entry in known.requirements)
-            self._submit(planned, "look_again", (question, content, margins))
+            self._waiting.append(lambda: self._look_again(planned, known))
         else:
             self._finish(planned, replace(known, source=Source.JOURNAL))
 
-    def _pending(self, key: str) -> bool:
-        return any(other == key for other, _ in self._tasks.values())
+    def _look_again(self, planned: Planned, known: Row) -> None:
+        content = self._evidence(known)
+        if planned.question is None or content is None:
+            self._again(planned, "it is no longer there")
+            return
+        question = planned.question
+        if known.radius is not None:
+            at = known.radius.verified if known.outcome is Outcome.VERIFIED else known.radius.falsified
+            question = replace(question, epsilon=None if at is None else Fraction(at))
+        margins = tuple((entry.name, entry.margin) for entry in known.requirements)
+        self._submit(planned, "look_again", (question, content, margins))
+
+    def _feed(self) -> None:
+        """Give the executor the next tasks, and no more than it soon needs: it holds a copy of all their files."""
+        while self._waiting and len(self._tasks) < self.executor.workers + AHEAD:
+            self._waiting.popleft()()
 
     def _evidence(self, row: Row) -> bytes | None:
         """The bytes that the journal's entry is about; None where they are not there."""
         if row.evidence is None:
             return None
         path = self.folder / row.evidence.path
-        content = path.read_bytes() if path.is_file() else b""
-        return content if digest(content) == row.evidence.sha256 else None
+        try:
+            content = path.read_bytes() if path.is_file() else b""
+        except OSError:  # it cannot be read: the same as if it were not there
+            return None
+        proves = Outcome.VERIFIED if content.startswith(MAGIC) else Outcome.FALSIFIED
+        return content if digest(content) == row.evidence.sha256 and proves is row.outcome else None
 
     def _submit(self, planned: Planned, function: str, argument: Any, role: Any = None) -> None:
         entry = planned.entry
@@ -167,9 +184,9 @@ class Batch:
         if not isinstance(outcome, Answer):
             if role == "look_again" and not isinstance(outcome, Broken):
                 self._again(planned, outcome.sentence)
-            elif key not in self._rows_done():
+            elif planned.name not in self._rows:
                 self._spread.pop(key, None)
-                self._enter(planned, _without_answer(planned, outcome))
+                self._enter(planned, without_answer(planned, outcome))
             return
         value = outcome.value
         if role == "look_again":
@@ -189,9 +206,6 @@ class Batch:
         """Old evidence is not accepted: the row is proved again."""
         self._remarks[planned.key] = f"the evidence of an earlier run was not accepted again: {why}"
         self._submit(planned, "decide", planned.question)
-
-    def _rows_done(self) -> set[str]:
-        return {row.key for row in self._rows.values()}
 
     def _scatter(self, planned: Planned, hard: Hard) -> None:
         """A hard row's parts, side by side; together they may use as many cells as the row."""
@@ -214,13 +228,17 @@ class Batch:
     def _row(self, planned: Planned, figures: Figures) -> Row:
         """A row from its figures; the evidence is on the disk before anything refers to it."""
         evidence = None
+        if figures.kind and not is_about(figures, planned):
+            # a plant's path may be absolute: then it is the worker that reads it, later and maybe elsewhere
+            problem = "the plant's file is not the one that the table was made with: it has changed meanwhile"
+            return blank(planned, Outcome.ERROR, Why("input", problem, remedy="run setrl certify again"))
         if figures.kind:
             name, suffix = _SUFFIX[figures.kind]
-            path = f"{name}/{_slug(planned)}-{planned.key[:12]}.{suffix}"
+            path = f"{name}/{slug(planned)}-{planned.key[:12]}.{suffix}"
             make_folder(self.folder / name)
             write_atomically(self.folder / path, figures.evidence)
             evidence = Evidence(figures.kind, path, digest(figures.evidence), len(figures.evidence), figures.detail)
-        return replace(_blank(planned, Outcome.UNKNOWN, None), **figures.row, evidence=evidence)
+        return replace(blank(planned, Outcome.UNKNOWN, None), **figures.row, evidence=evidence)
 
     def _enter(self, planned: Planned, row: Row, figures: Figures | None = None) -> None:
         """A row is decided: into the journal first."""
@@ -243,50 +261,3 @@ class Batch:
         )
         self._rows[planned.name] = own
         self.watch.finished(own)
-
-
-def _blank(planned: Planned, outcome: Outcome, why: Why | None) -> Row:
-    return Row(
-        planned.name,
-        planned.key,
-        planned.policy,
-        planned.specification,
-        planned.plant,
-        None if planned.epsilon is None else decimal_text(planned.epsilon),
-        outcome,
-        search=planned.search is not None,
-        why=why,
-        options={} if planned.question is None else planned.question.chosen,
-    )
-
-
-def _without_answer(planned: Planned, outcome: Refused | Broken | Lost) -> Row:
-    """A row whose process did not answer: one of three reasons, and no other row is touched."""
-    if isinstance(outcome, Refused):
-        return _blank(planned, Outcome.ERROR, Why("input", outcome.sentence))
-    if isinstance(outcome, Broken):
-        remedy = "please report this with the policy, the specification and the output of `setrl doctor`"
-        return _blank(planned, Outcome.INTERNAL, Why("internal", outcome.sentence, remedy=remedy))
-    source = {"time": "time limit", "memory": "memory limit"}.get(outcome.kind, "lost")
-    remedy = {
-        "time limit": "raise the row's timeout, or set fewer splits",
-        "memory limit": "raise the row's memory",
-    }.get(source, "run setrl certify again: the row is tried again")
-    sentence = f"the row's process {outcome.sentence}"
-    return _blank(planned, Outcome.UNKNOWN, Why("resource", sentence, source=source, remedy=remedy))
-
-
-def _keeps(row: Row) -> bool:
-    """Whether the journal's word on a row is taken: verdicts, and rows that used up what the manifest gave them."""
-    if row.outcome in (Outcome.VERIFIED, Outcome.FALSIFIED):
-        return row.evidence is not None
-    if row.outcome is not Outcome.UNKNOWN or row.why is None:
-        return False
-    return row.why.kind == "proof" or row.why.source in _PASSING
-
-
-def _slug(planned: Planned) -> str:
-    """A file name that says which row it belongs to."""
-    at = "" if planned.epsilon is None else f"-{decimal_text(planned.epsilon)}"
-    names = (Path(subject.name).stem[:40] for subject in (planned.policy, planned.specification))
-    return re.sub(r"[^A-Za-z0-9.]+", "-", "-".join(names) + at).strip("-.")

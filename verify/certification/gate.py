@@ -32,7 +32,9 @@ def judged(row: Row, planned: Planned, change: Change | None = None) -> Row:
     Row
     """
     entry = planned.entry
-    expected = entry.expected or (Outcome.VERIFIED.value,)
+    # a search's verdict is that of the radius that it found: what is expected at a radius says nothing about it
+    demanded = () if planned.search is not None else entry.expected
+    expected = demanded or (Outcome.VERIFIED.value,)
     objections: list[str] = []
     codes: list[int] = []
     if row.outcome in (Outcome.ERROR, Outcome.INTERNAL):
@@ -46,7 +48,7 @@ def judged(row: Row, planned: Planned, change: Change | None = None) -> Row:
     codes += [UNMET] * len(unmet)
     return replace(
         row,
-        expected=entry.expected,
+        expected=demanded,
         allow_unknown=planned.allow_unknown,
         objections=tuple(objections),
         passed=not objections,

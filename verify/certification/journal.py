@@ -65,19 +65,22 @@ class Journal:
                 where=str(path),
                 remedy="choose another folder with --out, or move the file away",
             )
-        for line in content[len(HEADER) :].split(b"\n"):
+        # what follows the last line's end was not finished: it will be cut off, so it does not count here either
+        for line in content[len(HEADER) :].split(b"\n")[:-1]:
             journal._take(line)
         return journal
 
     def _take(self, line: bytes) -> None:
-        if not line:
-            return
         self._lines += 1
         digest, _, text = line.partition(b" ")
         if hashlib.sha256(text).hexdigest().encode() != digest:
             self.damaged += 1
             return
-        row = row_from_json(json.loads(text))
+        try:
+            row = row_from_json(json.loads(text))
+        except (InputError, ValueError, RecursionError):  # whole, but written by a program with other rows
+            self.damaged += 1
+            return
         self.rows[row.key] = row
 
     def __enter__(self) -> Self:
@@ -105,8 +108,13 @@ class Journal:
     ) -> None:
         """Close the file."""
         if self._file is not None:
-            self._file.close()
-            self._file = None
+            try:
+                self._file.close()
+            except OSError as reason:  # of a line that `append` could not write and has reported, if there is one
+                if error is None:
+                    raise unwritable(self.path, reason) from None
+            finally:
+                self._file = None
 
     def append(self, row: Row) -> None:
         """Enter a row; it is on the disk when this returns."""

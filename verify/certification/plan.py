@@ -17,7 +17,7 @@ from ...models.input_files import InputFiles, input_files
 from ...specs.errors import InputError, SetrlError, SpecificationError
 from ...specs.exact import decimal_text, shown
 from ...specs.manifest import Entry, Manifest, Search
-from ...specs.reader import SHIPPED, digest, read_specification, shipped_specifications
+from ...specs.reader import SHIPPED, digest, read_bytes, read_specification, shipped_specifications
 from ...specs.versions import source_digest, versions
 from ..runtime_error import runtime_error, runtime_name
 from .document import Subject
@@ -64,9 +64,8 @@ class Planned:
 class _Files:
     """Files that were read, by path: many rows share one."""
 
-    folder: Path
     contracts: dict[Path, Any] = field(default_factory=dict)
-    policies: dict[Path, bytes] = field(default_factory=dict)
+    policies: dict[Path, tuple[bytes, str]] = field(default_factory=dict)
 
     def contract(self, path: Path) -> tuple[InputFiles | None, str, bool, str, str]:
         """Files of a specification, its digest, whether it allows UNKNOWN, its plant's name; and what is wrong."""
@@ -76,19 +75,19 @@ class _Files:
                 plant = read.plant if isinstance(read.plant, str) else ""
                 self.contracts[path] = input_files(read), read.digest, read.allow_unknown, plant, ""
             except SetrlError as error:
-                content = path.read_bytes() if path.is_file() else b""
-                self.contracts[path] = None, digest(content), False, "", str(error)
+                self.contracts[path] = None, _digest_or_none(path), False, "", str(error)
         found: tuple[InputFiles | None, str, bool, str, str] = self.contracts[path]
         return found
 
-    def policy(self, path: Path) -> bytes:
+    def policy(self, path: Path) -> tuple[bytes, str]:
+        """Bytes of a policy, and what is wrong: a file that cannot be read costs its own rows only."""
         if path not in self.policies:
             try:
                 with path.open("rb") as file:
-                    self.policies[path] = file.read(MOST_POLICY_BYTES + 1)
+                    self.policies[path] = file.read(MOST_POLICY_BYTES + 1), ""
             except OSError as error:
                 reason = error.strerror or type(error).__name__
-                raise InputError(f"cannot read the policy: {reason}", where=str(path)) from None
+                self.policies[path] = b"", str(InputError(f"cannot read the policy: {reason}", where=str(path)))
         return self.policies[path]
 
 
@@ -122,7 +121,7 @@ def plan(manifest: Manifest, spread: int = 1) -> tuple[Planned, ...]:
         A path or a glob without a file, a row that appears twice; with the manifest's line.
     """
     folder = Path(manifest.source).parent
-    files = _Files(folder)
+    files = _Files()
     known = current_versions()
     rows: dict[str, Planned] = {}
     for entry in manifest.entries:
@@ -137,7 +136,9 @@ def plan(manifest: Manifest, spread: int = 1) -> tuple[Planned, ...]:
                         entry, files, known, (policy_name, policy), (contract_name, contract), radius, search, spread
                     )
                     if row.name in rows:
-                        _fail(place, f"the row {row.name} appears twice", "name the file or the radius once")
+                        _fail(
+                            place, f"the row {shown(row.name, 200)} appears twice", "name the file or the radius once"
+                        )
                     rows[row.name] = row
                     if len(rows) > MOST_ROWS:
                         _fail(place, f"the table has more than {MOST_ROWS} rows", "split the manifest")
@@ -155,8 +156,8 @@ def _row(
     spread: int,
 ) -> Planned:
     inputs, contract_digest, allowed, plant, problem = files.contract(contract[1])
-    content = files.policy(policy[1])
-    policy_digest, plant_digest = digest(content), inputs.plant_digest if inputs else ""
+    content, unread = files.policy(policy[1])
+    policy_digest, plant_digest = "" if unread else digest(content), inputs.plant_digest if inputs else ""
     parts = (entry.spread or spread) if search is None else 1
     identity = {
         "policy": policy_digest,
@@ -173,7 +174,7 @@ def _row(
     key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
     at = "" if radius is None else f" @ {decimal_text(radius)}"
     question = None
-    if inputs is not None:
+    if inputs is not None and not unread:
         question = Question(policy[1].name, content, inputs, radius, search, entry.options, float(entry.timeout), parts)
     return Planned(
         f"{policy[0]} x {contract[0]}{at}{' (certified radius)' if search else ''}",
@@ -186,7 +187,7 @@ def _row(
         search,
         allowed if entry.allow_unknown is None else entry.allow_unknown,
         question,
-        problem,
+        problem or unread,
     )
 
 
@@ -195,15 +196,23 @@ def _policies(text: str, folder: Path, place: str) -> list[tuple[str, Path]]:
 
 
 def _specifications(text: str, folder: Path, place: str) -> list[tuple[str, Path]]:
-    """Files, or the shipped specification of that name."""
-    bare = "/" not in text and not glob.has_magic(text)
+    """Files, or the shipped specification of that name; as for `setrl verify`, a file that is there comes first."""
     name = text.removesuffix(".yaml")
-    if bare and not (folder / text).exists() and name in shipped_specifications():
-        return [(f"{name}.yaml", SHIPPED / f"{name}.yaml")]
+    if name in shipped_specifications() and not (folder / text).exists():
+        own = folder / f"{name}.yaml"
+        return [(own.name, own if own.is_file() else SHIPPED / own.name)]
     return _matches(text, folder, place, "specification", "specs/*.yaml")
 
 
 def _matches(text: str, folder: Path, place: str, what: str, example: str) -> list[tuple[str, Path]]:
+    try:
+        return _found(text, folder, place, what, example)
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        _fail(place, f"the {what} {shown(text)} cannot be looked for: {reason}", f"write a path; a glob is {example}")
+
+
+def _found(text: str, folder: Path, place: str, what: str, example: str) -> list[tuple[str, Path]]:
     if (folder / text).is_file():  # also where its name has a character that globs use
         return [(Path(text).as_posix(), folder / text)]
     if not glob.has_magic(text):
@@ -221,6 +230,14 @@ def _matches(text: str, folder: Path, place: str, what: str, example: str) -> li
 def _unique(found: Iterable[tuple[str, Path]]) -> list[tuple[str, Path]]:
     """A file that two globs of one entry match is one row."""
     return list({os.path.normpath(path): (name, path) for name, path in found}.values())
+
+
+def _digest_or_none(path: Path) -> str:
+    """sha256 of a specification that is wrong; "" where it cannot even be read."""
+    try:
+        return digest(read_bytes(path))
+    except SetrlError:
+        return ""
 
 
 def _fail(place: str, message: str, remedy: str) -> NoReturn:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -88,6 +89,7 @@ class Table(Watch):
     workers: int = 1
     started: float = field(default_factory=time.monotonic)
     rows: list[Row] = field(default_factory=list)
+    counts: Counter[Outcome] = field(default_factory=Counter)
     now: Sequence[tuple[str, float]] = ()
 
     def begin(self, planned: Sequence[Planned], workers: int) -> None:
@@ -97,6 +99,7 @@ class Table(Watch):
     def finished(self, row: Row) -> None:
         """A row is decided: it stays above the table."""
         self.rows.append(row)
+        self.counts[row.outcome] += 1
         self._draw()
 
     def running(self, names: Sequence[tuple[str, float]]) -> None:
@@ -108,11 +111,10 @@ class Table(Watch):
         from rich.table import Table as RichTable
         from rich.text import Text
 
-        counts = {outcome: sum(1 for row in self.rows if row.outcome is outcome) for outcome in Outcome}
         title = Text(f"{len(self.rows)}/{self.total} rows")
-        for outcome, count in counts.items():
-            if count:
-                title.append(f"  {count} {outcome.value}", style=_COLORS[outcome])
+        for outcome in Outcome:
+            if self.counts[outcome]:
+                title.append(f"  {self.counts[outcome]} {outcome.value}", style=_COLORS[outcome])
         left = remaining_seconds(self.rows, self.total, self.workers)
         if left is not None and len(self.rows) < self.total:
             title.append(f"  about {duration(left)} left")
