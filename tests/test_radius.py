@@ -214,6 +214,12 @@ def test_where_nothing_is_known_of_the_least_radius_its_reason_is_given(folder: 
     assert "could not be proved" in found.unproved_result.reason.sentence
 
 
+def test_a_violation_above_an_unknown_least_radius_does_not_decide_that_one(folder: Path) -> None:
+    span: dict[str, Any] = {"least": F(9, 10), "most": F(9), "resolution": F(9), "options": Options(splits=1)}
+    found = search_radius(EXAMPLE, folder / "hopeless.yaml", **span)
+    assert (found.verified, found.falsified, found.exit_code) == (None, F(9), 5)
+
+
 def test_what_holds_at_the_largest_radius_ends_the_search(folder: Path) -> None:
     found = search_radius(folder / "linear.onnx", folder / "linear.yaml", most=F(1, 2))
     assert (found.verified, found.falsified, found.exit_code) == (F(1, 2), None, 0)
@@ -265,7 +271,8 @@ def test_a_radius_that_the_checker_refuses_is_not_an_answer(
 
     monkeypatch.setattr(searching, "verify", refusing)
     found = search_radius(folder / "linear.onnx", folder / "linear.yaml", most=F(1), resolution=F(1, 10))
-    assert found.verified is not None and F(1, 3) <= found.verified <= F(1, 2) < (linear.verified or 0)
+    assert found.verified == F(1, 2) < (linear.verified or 0)
+    assert dict(found.tried)[F(7, 10)] is Verdict.UNKNOWN
 
 
 def test_a_violation_below_a_verified_radius_is_an_error_of_the_program(

@@ -68,7 +68,7 @@ def search_radius(
         An ONNX file.
     specification : Specification, path or shipped name
         With a requirement.
-    most, least, resolution : Fraction
+    most, resolution, least : Fraction
         ``0 <= least <= most``, ``resolution > 0``.
     options : Options, optional
         Of every verification; ``Options(splits=SPLITS)`` by default.
