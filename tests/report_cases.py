@@ -38,6 +38,8 @@ HOSTILE = (
     "a|b\\|c`d``e\n# heading\n\n| x | y |\n|---|---|",
     "](javascript:alert(1))",
     "![x](http://example.org/x.png) https://example.org www.example.org <http://example.org>",
+    "- item",
+    "1. item",
     "=cmd()|' /C calc'!A0",
     "+1",
     "-1",

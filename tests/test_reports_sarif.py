@@ -62,6 +62,16 @@ def test_an_alert_is_raised_exactly_where_a_row_does_not_pass() -> None:
         assert bool(alerts) == (not row.passed), row.name
 
 
+def test_the_alerts_are_what_fails_and_nothing_else() -> None:
+    report = reports.every_outcome()
+    log = json.loads(sarif.render_alerts(report))
+    VALIDATOR.validate(log)
+    errors = [entry for entry in run_of(report)["results"] if entry["level"] == "error"]
+    assert [entry["message"] for entry in log["runs"][0]["results"]] == [entry["message"] for entry in errors]
+    passing = json.loads(sarif.render_alerts(reports.report_of(report.rows[0])))
+    assert passing["runs"][0]["results"] == []
+
+
 def test_a_violation_that_is_expected_is_suppressed() -> None:
     (entry,) = results(reports.made_up("p.onnx", Outcome.FALSIFIED, passed=True, expected=("FALSIFIED",)))
     assert (entry["kind"], entry["level"], entry["suppressions"][0]["status"]) == ("fail", "note", "accepted")
@@ -91,7 +101,7 @@ def test_fingerprints_tell_findings_apart_and_depend_on_no_number() -> None:
     rows = [replace(row, name=f"{number} {row.name}") for number, row in enumerate(rows)]
 
     def prints(*some: Row) -> list[str]:
-        return [entry["partialFingerprints"]["setrlCase/v1"] for entry in results(*some)]
+        return [str(sorted(entry["partialFingerprints"].items())) for entry in results(*some)]
 
     assert len(set(prints(*rows))) == len(prints(*rows))
     changed = [
@@ -132,6 +142,15 @@ def test_no_text_makes_it_invalid_or_adds_a_finding(text: str) -> None:
 @settings(max_examples=15, deadline=None)
 @given(st.text(min_size=1, max_size=60))
 def test_no_text_at_all_becomes_a_link_in_a_message(text: str) -> None:
+    assert_no_link(text)
+
+
+@pytest.mark.parametrize("text", reports.HOSTILE)
+def test_no_text_becomes_a_link_in_a_message(text: str) -> None:
+    assert_no_link(text)
+
+
+def assert_no_link(text: str) -> None:
     for entry in json.loads(sarif.render(reports.hostile(text)))["runs"][0]["results"]:
         message = entry["message"]["text"].replace("\\[", "").replace("\\]", "")
         assert "[" not in message and "]" not in message

@@ -135,6 +135,13 @@ def test_what_is_shown_is_one_line_that_can_be_written(text: str) -> None:
     assert visible(shown) == shown
 
 
+def test_line_breaks_are_blanks_and_what_cannot_be_seen_is_its_code() -> None:
+    assert visible("a\nb\tc\u2028d\r\x0be") == "a b c d  e"
+    assert visible("\x00\u202e\ud800\U000e0001") == "\\x00\\u202e\\ud800\\U000e0001"
+    assert visible("ε × 策略 🤖") == "ε × 策略 🤖"
+    assert visible("x" * 30, 10) == "x" * 7 + "..."
+
+
 def test_every_format_is_written_and_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
     report = reports.every_outcome()
     written = write_reports(report, tmp_path)

@@ -13,6 +13,7 @@ FILES: dict[str, Callable[[Report], str]] = {
     "certification.json": json_report.render,
     "junit.xml": junit.render,
     "certification.sarif": sarif.render,
+    "alerts.sarif": sarif.render_alerts,
     "summary.md": markdown.render,
     "index.html": html.render,
     "results.csv": archcomp.render,

@@ -109,6 +109,7 @@ def _details(row: Row) -> str:
     summary = f"{_SIGNS[row.outcome]} {row.outcome.value}: {name_of(row.name)}"
     lines = [
         f"\n<details><summary>{summary}</summary>\n",
+        # the verdict comes first because a line that begins with "-" or "1." would be a list
         f"**{row.outcome.value}**: {literal(phrases.finding(row))}\n",
     ]
     facts: list[tuple[str, str]] = []

@@ -1,8 +1,9 @@
-"""certification.sarif: SARIF 2.1.0, for code scanning: each finding at the line of its requirement.
+"""certification.sarif and alerts.sarif: SARIF 2.1.0, each finding at the line of its requirement.
 
 What is proved has the kind "pass", what is UNKNOWN "open", and only a violation, a file that cannot be used or an
-objection of the gate is "fail": everything else has the level "none", which no scanner reports as an alert. A row that
-does not pass has at least one "fail".
+objection of the gate is "fail": everything else has the level "none". A row that does not pass has at least one "fail".
+
+GitHub's code scanning takes no notice of the kind and makes an alert of every result; alerts.sarif is for it.
 """
 
 from __future__ import annotations
@@ -32,14 +33,30 @@ RULES = {
 
 
 def render(report: Report) -> str:
-    """The report as a SARIF log with one run.
+    """The report as a SARIF log with one run: everything that was asked, and the answers.
 
     Parameters
     ----------
     report : Report
     """
+    return _log(report, alerts=False)
+
+
+def render_alerts(report: Report) -> str:
+    """The same log with nothing but what makes a row fail: for readers to whom every result is an alert.
+
+    Parameters
+    ----------
+    report : Report
+    """
+    return _log(report, alerts=True)
+
+
+def _log(report: Report, alerts: bool) -> str:
     artifacts = _Artifacts()
     results = [_result(row, case, artifacts) for row in report.rows for case in _reported(row)]
+    if alerts:
+        results = [result for result in results if result["level"] == "error"]
     for row in report.rows:
         for subject in (row.policy, row.plant):
             artifacts.index(subject)
@@ -83,7 +100,8 @@ def _kind(case: Case) -> str:
 def _result(row: Row, case: Case, artifacts: _Artifacts) -> dict[str, Any]:
     kind = _kind(case)
     level = "error" if kind == "fail" else "none"
-    fingerprint = "\0".join((row.name, case.rule, case.name)).encode("utf-8", "surrogatepass")
+    finding = "\0".join((row.name, case.rule, case.name)).encode("utf-8", "surrogatepass")
+    fingerprint = hashlib.sha256(finding).hexdigest()
     text = visible(f"{row.outcome.value}: {_asked(case)}: {case.message} ({row.name})")
     result: dict[str, Any] = {
         "ruleId": case.rule,
@@ -102,7 +120,8 @@ def _result(row: Row, case: Case, artifacts: _Artifacts) -> dict[str, Any]:
                 }
             }
         ],
-        "partialFingerprints": {"setrlCase/v1": hashlib.sha256(fingerprint).hexdigest()},
+        # the second is the one that code scanning reads: without it all policies of a specification are one alert
+        "partialFingerprints": {"setrlCase/v1": fingerprint, "primaryLocationLineHash": f"{fingerprint[:16]}:1"},
         "properties": {"row": visible(row.name), "verdict": row.outcome.value, "passes": row.passed},
     }
     if row.value is not None:
