@@ -9,8 +9,8 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import PlainValidator, Tag, WithJsonSchema, model_validator
 
 from .errors import InputError
-from .exact import decimal_range
-from .fields import ExactNumber, Flag, NonNegative, Positive, Text, Version, by_kind, found, number, problem
+from .exact import decimal_range, decimal_text
+from .fields import ExactNumber, Flag, NonNegative, Text, Version, by_kind, found, number, problem
 from .plant_document import AtLeastOne, Document
 
 VERDICTS = ("VERIFIED", "FALSIFIED", "UNKNOWN")
@@ -18,8 +18,8 @@ _UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30, "kB": 10**3, "MB": 10*
 LEAST_MEMORY = 1 << 26
 MOST_RADII = 1000
 LEAST_SECONDS, MOST_SECONDS = Fraction(1, 1000), 10**8
-MOST_RADIUS = 10**9
-"""A search doubles radii up to this: it has to end."""
+LEAST_RADIUS, MOST_RADIUS = Fraction(1, 10**9), 10**9
+"""A search doubles radii, and halves what is between two: it has to end."""
 
 
 def _verdict(value: object) -> str:
@@ -38,18 +38,18 @@ def _memory(value: object) -> int:
     return size
 
 
-def _seconds(value: object) -> Fraction:
-    result = number(value)
-    if not LEAST_SECONDS <= result <= MOST_SECONDS:
-        raise problem(f"expected from 0.001 to {MOST_SECONDS} seconds, found {found(value)}", "change it")
-    return result
+def _positive(least: Fraction, most: int) -> PlainValidator:
+    """A positive number that a float can hold and a search can end with."""
 
+    def read(value: object) -> Fraction:
+        result = number(value)
+        if result <= 0:
+            raise problem(f"expected a number greater than 0, found {found(value)}", "make it positive")
+        if not least <= result <= most:
+            raise problem(f"expected from {decimal_text(least)} to {most}, found {found(value)}", "change it")
+        return result
 
-def _radius(value: object) -> Fraction:
-    result = number(value)
-    if not 0 < result <= MOST_RADIUS:
-        raise problem(f"expected more than 0 and at most {MOST_RADIUS}, found {found(value)}", "change it")
-    return result
+    return PlainValidator(read)
 
 
 def _count(least: int, most: int) -> PlainValidator:
@@ -96,13 +96,13 @@ _NUMBER_NOT_NEGATIVE = {"type": "number", "minimum": 0}
 Memory = Annotated[int, PlainValidator(_memory), WithJsonSchema({"type": "string", "pattern": f"^{_MEMORY}$"})]
 Seconds = Annotated[
     Fraction,
-    PlainValidator(_seconds),
+    _positive(LEAST_SECONDS, MOST_SECONDS),
     WithJsonSchema({"type": "number", "minimum": float(LEAST_SECONDS), "maximum": MOST_SECONDS}),
 ]
 SearchedRadius = Annotated[
     Fraction,
-    PlainValidator(_radius),
-    WithJsonSchema({"type": "number", "exclusiveMinimum": 0, "maximum": MOST_RADIUS}),
+    _positive(LEAST_RADIUS, MOST_RADIUS),
+    WithJsonSchema({"type": "number", "minimum": float(LEAST_RADIUS), "maximum": MOST_RADIUS}),
 ]
 Verdict = Annotated[str, PlainValidator(_verdict), WithJsonSchema({"enum": list(VERDICTS)})]
 Radii = Annotated[
@@ -192,7 +192,7 @@ class RadiusDocument(Document):
     """The row fails where the certified radius is smaller."""
     most: SearchedRadius = Fraction(10)
     """Larger radii are not tried."""
-    resolution: Positive = Fraction(1, 1000)
+    resolution: SearchedRadius = Fraction(1, 1000)
     """The search ends when two radii that are known are this close."""
 
     @model_validator(mode="after")
