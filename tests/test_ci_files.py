@@ -246,6 +246,7 @@ touch certification/certification.{json,sarif}"""
 
 @pytest.mark.parametrize("code", OUTCOMES)
 def test_the_step_ends_as_certify_ended_and_says_so(code: int, tmp_path: Path) -> None:
+    (tmp_path / "summary").write_text("of an earlier step\n")
     ended, outputs, called, summary = certify(tmp_path, code, REPORTS)
     assert ended == code
     assert outputs == {
@@ -255,7 +256,7 @@ def test_the_step_ends_as_certify_ended_and_says_so(code: int, tmp_path: Path) -
         "sarif": "certification/certification.sarif",
     }
     assert called == ["certify", "--out", "certification", "--", "certification.yaml"]
-    assert summary == "## report\n"
+    assert summary == "of an earlier step\n## report\n"
 
 
 def test_without_reports_there_is_none_to_show(tmp_path: Path) -> None:
