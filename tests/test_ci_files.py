@@ -241,7 +241,7 @@ def certify(folder: Path, code: int, writes: str = "", **given: str) -> tuple[in
 
 REPORTS = """mkdir -p certification
 echo '## report' > certification/summary.md
-touch certification/certification.{json,sarif}"""
+touch certification/{certification.json,certification.sarif,alerts.sarif}"""
 
 
 @pytest.mark.parametrize("code", OUTCOMES)
@@ -253,7 +253,7 @@ def test_the_step_ends_as_certify_ended_and_says_so(code: int, tmp_path: Path) -
         "exit-code": str(code),
         "outcome": OUTCOMES[code],
         "report": "certification/certification.json",
-        "sarif": "certification/certification.sarif",
+        "sarif": "certification/alerts.sarif",
     }
     assert called == ["certify", "--out", "certification", "--", "certification.yaml"]
     assert summary == "of an earlier step\n## report\n"
@@ -333,4 +333,4 @@ def test_the_example_passes_and_writes_only_what_git_ignores(tmp_path: Path) -> 
     reports = {
         name for name in shown if Path(name).suffix in (".md", ".xml", ".sarif", ".html", ".json", ".csv", ".jsonl")
     }
-    assert len(reports) == 7 and all((folder / "certification" / name).is_file() for name in reports)
+    assert len(reports) == 8 and all((folder / "certification" / name).is_file() for name in reports)
