@@ -25,7 +25,7 @@ from setrl.models.plant import shipped_plants
 from setrl.specs.errors import InputError
 from setrl.specs.files import write_atomically
 from setrl.verify import deadline as deadlines
-from setrl.verify import rounding, runtime_measurement, verifier
+from setrl.verify import certified, rounding, runtime_measurement, verifier
 from setrl.verify.certificate import MAGIC
 from setrl.verify.result import Result
 from setrl.verify.runtime_error import FunctionError, RuntimeMeasurement, measurement_path, runtime_name
@@ -151,7 +151,7 @@ def test_what_the_checker_does_not_accept_is_unknown_and_leaves_no_certificate(
     folder: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = contents(folder)
-    monkeypatch.setattr(verifier, "check_certificate", lambda *_, **__: "leaf 0: period 3: the end")
+    monkeypatch.setattr(certified, "check_certificate", lambda *_, **__: "leaf 0: period 3: the end")
     outcome = run(capsys, "verify", *QUICKLY)
     assert outcome.code == 5 and outcome.out.startswith("UNKNOWN: ") and "leaf 0: period 3: the end" in outcome.out
     assert contents(folder) == before
