@@ -24,8 +24,8 @@ from setrl.commands import exit_codes
 from setrl.models.plant import shipped_plants
 from setrl.specs.errors import InputError
 from setrl.specs.files import write_atomically
-from setrl.verify import deadline as deadlines
 from setrl.verify import certified, rounding, runtime_measurement, verifier
+from setrl.verify import deadline as deadlines
 from setrl.verify.certificate import MAGIC
 from setrl.verify.result import Result
 from setrl.verify.runtime_error import FunctionError, RuntimeMeasurement, measurement_path, runtime_name
