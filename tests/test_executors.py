@@ -145,7 +145,10 @@ def test_two_hundred_tasks_on_two_workers_answer_once_each(executor: LocalExecut
     assert [answer.value for answer in found if isinstance(answer, Answer)] == [2 * number for number in range(200)]
 
 
-def test_what_a_task_prints_goes_to_stderr(capfd: pytest.CaptureFixture[str]) -> None:
+def test_what_a_task_prints_goes_to_stderr_before_it_answers(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
     with LocalExecutor() as found:
         [outcome] = outcomes(found, [task(executor_tasks.chatter, "hello")])
     assert isinstance(outcome, Answer) and outcome.value == "hello"
@@ -163,7 +166,10 @@ def test_large_arguments_and_answers_travel_whole(executor: LocalExecutor) -> No
     assert isinstance(length, Answer) and length.value == size
 
 
-def test_a_worker_is_bare_has_one_thread_for_products_and_a_session_of_its_own() -> None:
+def test_a_worker_is_bare_has_one_thread_for_products_and_a_session_of_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     with LocalExecutor() as found:
         [outcome] = outcomes(found, [task(executor_tasks.environment)])
     assert isinstance(outcome, Answer)
@@ -180,17 +186,29 @@ def test_an_interrupt_is_not_for_the_workers(executor: LocalExecutor) -> None:
 def test_what_lies_in_the_current_folder_is_not_imported_and_what_the_path_names_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("here", "there"):
+    for name in ("here", "there", "elsewhere"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "whereabouts.py").write_text(f"PLACE = {name!r}\n")
     (tmp_path / "here" / "pickle.py").write_text("raise RuntimeError('the wrong module')\n")
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setattr(sys, "path", ["", *sys.path])
-    with LocalExecutor() as without, LocalExecutor(path=["../there"]) as with_path:
+    without = LocalExecutor()
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "elsewhere"), *sys.path])
+    with_path = LocalExecutor(path=["../there"])
+    (tmp_path / "here" / "below").mkdir()
+    monkeypatch.chdir("below")  # a path is meant as it was when it was given
+    with without, with_path:
         [missing] = outcomes(without, [task(executor_tasks.where)])
         [found] = outcomes(with_path, [task(executor_tasks.where)])
     assert isinstance(missing, Broken) and "whereabouts" in missing.sentence
     assert isinstance(found, Answer) and found.value == "there"
+
+
+def test_in_the_current_folder_no_module_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "pickle.py").write_text("raise RuntimeError('the wrong module')\n")
+    monkeypatch.chdir(tmp_path)
+    with LocalExecutor() as found:
+        assert isinstance(outcomes(found, [task(executor_tasks.double, 1)])[0], Answer)
 
 
 def test_leaving_ends_everything_at_once(tmp_path: Path) -> None:
@@ -206,7 +224,8 @@ def test_leaving_ends_everything_at_once(tmp_path: Path) -> None:
         start = time.monotonic()
     assert time.monotonic() - start < 1
     assert all(not Path(f"/proc/{name.read_text()}").exists() for name in names)
-    assert found.wait(0) == []
+    assert found.wait(30) == []
+    assert time.monotonic() - start < 2
     with pytest.raises(RuntimeError):
         found.submit(task(executor_tasks.sleep, 60))
 
@@ -303,6 +322,30 @@ def test_a_worker_ends_when_its_pipe_closes_with_the_processes_that_its_task_sta
     process._tasks = os.open(os.devnull, os.O_RDONLY)
     assert within(2, lambda: not process.lives() and gone(int(name.read_text())))
     process.close()
+
+
+@pytest.mark.parametrize("orphan", [False, True], ids=["its pipe closes", "its parent ended before it could ask"])
+def test_a_worker_that_shares_its_session_ends_alone(orphan: bool) -> None:
+    inbox, tasks = os.pipe()
+    worker = subprocess.Popen(
+        [
+            sys.executable,
+            "-P",
+            "-m",
+            "setrl.verify.executors.worker",
+            str(inbox),
+            "2",
+            str(1 if orphan else os.getpid()),
+        ],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(search_path())},
+        pass_fds=(inbox,),
+    )
+    os.close(inbox)
+    if not orphan:
+        os.close(tasks)
+    assert worker.wait(5) == 1
+    if orphan:
+        os.close(tasks)
 
 
 def test_a_message_that_does_not_arrive_is_late_or_closed() -> None:
