@@ -179,12 +179,12 @@ def test_a_curve_tells_what_is_not_verified_by_its_shape() -> None:
 
 
 def test_a_search_shows_every_radius_that_was_tried() -> None:
-    tried = (("0.1", "VERIFIED"), ("0.2", "UNKNOWN"), ("0.4", "FALSIFIED"))
+    tried = (("0", "CLAIMED"), ("0.1", "VERIFIED"), ("0.2", "UNKNOWN"), ("0.4", "FALSIFIED"))
     row = reports.made_up("p.onnx", Outcome.VERIFIED, search=True, radius=RadiusFound("0.1", "0.4", "0.05", tried))
     found = page(reports.report_of(replace(row, requirements=())))
     classes = [attributes.get("class") for _, attributes in found.elements]
-    assert [classes.count(f"mark-{name}") for name in ("verified", "unknown", "falsified")] == [1, 1, 1]
-    assert "VERIFIED up to 0.1, FALSIFIED at 0.4, to 0.05" in found.text
+    assert [classes.count(f"mark-{name}") for name in ("verified", "claimed", "unknown", "falsified")] == [1, 1, 1, 1]
+    assert "VERIFIED up to 0.1, FALSIFIED at 0.4 (resolution 0.05)" in found.text
 
 
 def test_every_picture_has_a_name_and_a_description() -> None:

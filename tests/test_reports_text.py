@@ -38,13 +38,23 @@ def shape(report: Report) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("text", reports.HOSTILE)
 def test_no_text_adds_markup_to_the_summary(text: str) -> None:
-    assert shape(reports.hostile(text)) == shape(reports.hostile("harmless"))
+    shown = text.replace("`", "'")  # in backticks a sentence sets code
+    assert shape(reports.hostile(shown)) == shape(reports.hostile("harmless"))
 
 
 @settings(max_examples=30, deadline=None)
 @given(texts)
 def test_no_text_at_all_adds_markup_to_the_summary(text: str) -> None:
-    assert shape(reports.hostile(text)) == shape(reports.hostile("harmless"))
+    shown = text.replace("`", "'")  # in backticks a sentence sets code
+    assert shape(reports.hostile(shown)) == shape(reports.hostile("harmless"))
+
+
+@pytest.mark.parametrize("text", ["`<b>`", "`a|b` `c`", "`", "a ` b ` ` c"])
+def test_backticks_set_code_in_the_summary_and_nothing_else(text: str) -> None:
+    def others(report: Report) -> list[tuple[str, str]]:
+        return [entry for entry in shape(report) if entry[1] not in ("<code>", "</code>")]
+
+    assert others(reports.hostile(text)) == others(reports.hostile("harmless"))
 
 
 def test_the_summary_of_a_thousand_rows_is_far_below_the_limit_and_has_them_all() -> None:

@@ -164,7 +164,7 @@ def _line(row: Row) -> Markup:
         "tr",
         tag("td", badge(row.outcome)),
         tag("td", name, class_="name"),
-        tag("td", phrases.found_text(row) if row.radius is not None else phrases.radius_text(row)),
+        tag("td", phrases.found_text(row) or phrases.radius_text(row)),
         tag("td", gate),
         tag("td", margin, class_="num"),
         tag("td", phrases.value_of(row), class_="num"),

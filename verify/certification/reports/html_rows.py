@@ -7,7 +7,7 @@ from typing import Any
 from urllib.parse import quote
 
 from ...wording import number, quantity
-from ..document import Evidence, Outcome, RequirementRow, Row, Subject, Why
+from ..document import Evidence, Outcome, RadiusFound, RequirementRow, Row, Subject, Why
 from . import phrases
 from .markup import Markup, join, tag
 from .svg_curves import draw_margins, draw_search
@@ -117,7 +117,7 @@ def _figures(row: Row) -> Markup | None:
         title = f"Reachable states of {name}"
         figures.append(_figure(draw(row.picture, title), _picture_caption(row.picture)))
     if row.radius is not None and (drawn := draw_search(row.radius, f"Radii that were tried for {name}")) is not None:
-        figures.append(_figure(drawn, "Radii that were tried. Filled: VERIFIED, hollow: UNKNOWN, cross: FALSIFIED."))
+        figures.append(_figure(drawn, _search_caption(row.radius)))
     for entry in row.requirements:
         curve = draw_margins(entry, row.period, f"Margin of {entry.name} over time, {name}")
         if curve is not None:
@@ -145,6 +145,18 @@ def _picture_caption(picture: dict[str, Any]) -> str:
         at = number(picture["truncated_at"])
         said.append(f"From {at} s on some boxes have no finite bounds and are not drawn.")
     return " ".join(said)
+
+
+def _search_caption(found: RadiusFound) -> str:
+    """What the marks of a search are; the bar is certified, for a smaller radius perturbs less."""
+    shapes = {
+        "VERIFIED": "Filled: VERIFIED.",
+        "CLAIMED": "Small: proved by the engine, and certified where a larger radius is.",
+        "UNKNOWN": "Hollow: UNKNOWN.",
+        "FALSIFIED": "Cross: FALSIFIED.",
+    }
+    verdicts = {verdict for _, verdict in found.tried}
+    return " ".join(["Radii that were tried.", *(said for verdict, said in shapes.items() if verdict in verdicts)])
 
 
 def _requirements(row: Row) -> Markup | None:

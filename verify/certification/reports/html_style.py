@@ -114,6 +114,7 @@ svg .reach-name{fill:var(--goal)}
 .below-zero{fill:url(#hatch-avoid);stroke:none}
 .radius{stroke:var(--verified);stroke-width:5;stroke-opacity:.3;fill:none}
 .mark-verified{fill:var(--verified);stroke:var(--sheet)}
+.mark-claimed{fill:var(--soft);stroke:var(--sheet)}
 .mark-unknown{fill:var(--sheet);stroke:var(--unknown);stroke-width:2}
 .share-verified{fill:var(--verified)}
 .share-unknown{fill:var(--unknown)}

@@ -61,7 +61,7 @@ def _facts(row: Row) -> dict[str, str]:
         "plant.sha256": row.plant.sha256,
     }
     if row.value is not None:
-        facts["V(s0)"] = phrases.value_text(row.value)
+        facts["V(s0)"] = phrases.value_of(row)
     if row.evidence is not None:
         facts[row.evidence.kind] = row.evidence.path
     return {key: value for key, value in facts.items() if value}

@@ -17,7 +17,7 @@ LIMIT = 1_048_576
 DETAILED = 50
 """Rows that are explained; the others are in the table."""
 _NAME, _SENTENCE = 160, 600
-_MARKUP = re.compile(r"[\\`*_{}\[\]<>&|~@#!\"$+=^]|:(?=/)|(?<=www)\.", re.IGNORECASE)
+_MARKUP = re.compile(r"[\\`*_{}\[\]<>&|~@#!$^]|:(?=/)|(?<=www)\.", re.IGNORECASE)
 _SIGNS = {
     Outcome.VERIFIED: "✅",
     Outcome.UNKNOWN: "❔",
@@ -98,9 +98,8 @@ def _line(row: Row) -> str:
     verdict = f"{_SIGNS[row.outcome]} {row.outcome.value}"
     gate = "passes" if row.passed else "**does not pass**"
     margin = phrases.margin_text(row.margin) if row.requirements else ""
-    if row.search:
-        verdict += f", {literal(phrases.found_text(row), _NAME)}" if row.radius is not None else ""
-    cells = [name, literal(phrases.radius_text(row), 60), verdict, gate, margin, phrases.value_of(row)]
+    radius = phrases.found_text(row) or phrases.radius_text(row)
+    cells = [name, literal(radius, _NAME), verdict, gate, margin, phrases.value_of(row)]
     return f"| {' | '.join(cells)} |"
 
 
@@ -110,7 +109,7 @@ def _details(row: Row) -> str:
     lines = [
         f"\n<details><summary>{summary}</summary>\n",
         # the verdict comes first because a line that begins with "-" or "1." would be a list
-        f"**{row.outcome.value}**: {literal(phrases.finding(row))}\n",
+        f"**{row.outcome.value}**: {sentence(phrases.finding(row))}\n",
     ]
     facts: list[tuple[str, str]] = []
     if row.objections:
@@ -119,7 +118,7 @@ def _details(row: Row) -> str:
         facts += [("requirement", row.why.requirement), ("growth", row.why.source), ("try", row.why.remedy)]
     if row.evidence is not None:
         facts.append((row.evidence.kind, f"{row.evidence.path}, {row.evidence.detail}"))
-    lines += [f"- {label}: {literal(fact)}" for label, fact in facts if fact]
+    lines += [f"- {label}: {sentence(fact)}" for label, fact in facts if fact]
     return "\n".join(lines) + "\n\n</details>\n"
 
 
@@ -147,6 +146,14 @@ def _baseline(report: Report) -> str:
 def literal(value: str, longest: int = _SENTENCE) -> str:
     """Text from a file within a line: every sign that Markdown could read is a character reference."""
     return _MARKUP.sub(lambda match: f"&#{ord(match[0])};", visible(value, longest))
+
+
+def sentence(value: str) -> str:
+    """The same, with what stands in backticks in the type of code."""
+    parts = visible(value, _SENTENCE).split("`")
+    if len(parts) % 2 == 0:  # one backtick has no partner
+        return literal(value)
+    return "".join(name_of(part) if position % 2 else literal(part) for position, part in enumerate(parts))
 
 
 def name_of(value: str) -> str:

@@ -31,7 +31,7 @@ def found_text(row: Row) -> str:
     parts = ["no radius is VERIFIED" if found.verified is None else f"VERIFIED up to {found.verified}"]
     if found.falsified is not None:
         parts.append(f"FALSIFIED at {found.falsified}")
-    return f"{', '.join(parts)}, to {found.resolution}"
+    return f"{', '.join(parts)} (resolution {found.resolution})"
 
 
 def margin_text(margin: float | None) -> str:

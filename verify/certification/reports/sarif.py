@@ -125,7 +125,7 @@ def _result(row: Row, case: Case, artifacts: _Artifacts) -> dict[str, Any]:
         "properties": {"row": visible(row.name), "verdict": row.outcome.value, "passes": row.passed},
     }
     if row.value is not None:
-        result["properties"]["value"] = phrases.value_text(row.value)
+        result["properties"]["value"] = phrases.value_of(row)
     if kind == "fail" and row.passed:
         expected = " or ".join(row.expected) or row.outcome.value
         result["level"] = "note"

@@ -35,10 +35,12 @@ class Frame:
 
     @property
     def right(self) -> float:
+        """Pixels from the left to the right edge."""
         return self.left + self.width
 
     @property
     def bottom(self) -> float:
+        """Pixels from the top to the lower edge."""
         return self.top + self.height
 
     def px(self, x: float) -> float:
@@ -122,12 +124,12 @@ def label(text: str, x: float, y: float, anchor: str, class_: str) -> Markup:
 
 
 def mark(kind: str, x: float, y: float, size: float = 4.0) -> Markup:
-    """A dot that tells the verdict by its shape: filled, hollow, or a cross.
+    """A dot that tells the verdict by its shape: filled, small, hollow, or a cross.
 
     Parameters
     ----------
     kind : str
-        "VERIFIED", "FALSIFIED" or anything else.
+        "VERIFIED", "CLAIMED", "FALSIFIED" or anything else.
     x, y, size : float
         Pixels.
     """
@@ -135,7 +137,9 @@ def mark(kind: str, x: float, y: float, size: float = 4.0) -> Markup:
         high, back = _short(2 * size), _short(-2 * size)
         path = f"M{_short(x - size)} {_short(y - size)}l{high} {high}m{back} 0l{high} {back}"
         return tag("path", d=path, class_="mark-falsified")
-    class_ = "mark-verified" if kind == "VERIFIED" else "mark-unknown"
+    if kind == "CLAIMED":
+        size *= 0.6
+    class_ = {"VERIFIED": "mark-verified", "CLAIMED": "mark-claimed"}.get(kind, "mark-unknown")
     return tag("circle", cx=_short(x), cy=_short(y), r=_short(size), class_=class_)
 
 
