@@ -54,12 +54,16 @@ def _require_figures(report: Report) -> None:
     problem = ""
     if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         problem = "a row's name is no text, or appears twice"
-    elif not all(number is None or (isinstance(number, float) and math.isfinite(number)) for number in numbers):
+    elif not all(number is None or _is_finite(number) for number in numbers):
         problem = "a margin or a V(s0) is no number"
     elif not all(radius is None or (isinstance(radius, str) and _is_decimal(radius)) for radius in radii):
         problem = "a certified radius is no decimal"
     if problem:
         raise InputError(f"the report is damaged: {problem}", remedy="write it again: setrl certify")
+
+
+def _is_finite(number: object) -> bool:
+    return isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number)
 
 
 def _is_decimal(text: str) -> bool:
