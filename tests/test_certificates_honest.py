@@ -13,6 +13,8 @@ import certificates
 import pytest
 from certificates import Case, case_of, digest_of
 
+import setrl
+from setrl.models.example import shipped_policies
 from setrl.verify.checker.certificate import Accepted, check
 from setrl.verify.checker.contract import read_contract
 from setrl.verify.checker.network import read_network
@@ -139,3 +141,10 @@ def test_the_corpus_has_two_hundred_certificates_with_everything_in_them() -> No
     expected |= {"reward", "penalty", "observes functions", "linearization", "deployed"}
     assert expected <= set(counts), expected - set(counts)
     assert min(counts[name] for name in expected) >= 5, counts
+
+
+def test_a_claim_on_ranges_whose_ends_are_wide_balls_is_verified() -> None:
+    """Ranges of neurons that hardly vary: their ends are known to fewer digits than the lines on them need."""
+    policy = next(path for path in shipped_policies() if path.name == "navigation-set.onnx")
+    result = setrl.verify(str(policy), "navigation", epsilon=0)
+    assert result.verdict is Verdict.VERIFIED, result.reason

@@ -91,8 +91,12 @@ def semantics_text(result: Result) -> str:
     deployed = [name for name in result.semantics if name != "real"]
     if not deployed:
         return "exact real arithmetic"
-    error = at_most(result.deployed_error)
-    return f"exact real arithmetic, and {deployed[0]} as executed: at most {error} off on any action"
+    return f"exact real arithmetic, and {deployed[0]} as executed: {distance_text(result.deployed_error)}"
+
+
+def distance_text(error: float) -> str:
+    """How far the deployed network is from the exact one; an enclosure that was lost bounds nothing."""
+    return f"at most {at_most(error)} off on any action" if math.isfinite(error) else "how far off has no bound"
 
 
 def certificate_text(result: Result) -> str:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ...specs.exact import signed_text
+from ..report import distance_text
 from ..result import Result, Verdict
 from ..runtime_error import runtime_note
-from ..wording import at_most, number
+from ..wording import number
 from .document import Outcome, RadiusFound, RequirementRow, ValueRow, Why
 from .reports.picture import picture_of
 
@@ -107,8 +108,7 @@ def assumptions_of(result: Result) -> tuple[str, ...]:
             sentences.append(f"Disturbance {name} is in [{number(bound.lower)}, {number(bound.upper)}], {how}.")
     deployed = [name for name in result.semantics if name != "real"]
     if deployed:
-        error = at_most(result.deployed_error)
-        executed = f"as executed in {deployed[0]}, at most {error} off on an action"
+        executed = f"as executed in {deployed[0]}, {distance_text(result.deployed_error)}"
         sentences.append(f"The network is taken in exact arithmetic and {executed}.")
         note = runtime_note()
         sentences += [f"{note[0].upper()}{note[1:]}."] if note else []

@@ -149,7 +149,8 @@ class Forward:
         lines = next(self.lines)
         center, size = [], []
         for i, (slope, c, a, b) in enumerate(zip(lines.slopes, self.center, low, high, strict=True)):
-            least, most = residual(activation, slope, a, b)
+            # a range's ends are balls: thin ones around it lose nothing, wide ones lose the digits of f(x) - slope x
+            least, most = residual(activation, slope, a.lower(), b.upper())
             if lines.offsets is not None and lines.errors is not None:
                 offset, error = arb(lines.offsets[i]), arb(lines.errors[i])
                 if not (bool(offset - error <= least) and bool(most <= offset + error)):
@@ -168,7 +169,7 @@ class Forward:
         center, size = [], []
         for (least, most), slope, c, a, b in zip(bounds, slopes, self.center, low, high, strict=True):
             m = arb(slope)
-            below, above = clip_residual(least, most, m, a, b)
+            below, above = clip_residual(least, most, m, a.lower(), b.upper())
             center.append(m * c + (below + above) / 2)
             size.append((above - below) / 2)
         self._settle()
