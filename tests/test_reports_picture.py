@@ -49,6 +49,15 @@ def test_a_bound_is_rounded_outward(low: float, span: float, share: float, far: 
     assert grid.least - 2 * float(unit) <= grid.low(far) <= grid.high(far) <= grid.most + 2 * float(unit)
 
 
+@pytest.mark.parametrize("digits", [-2, 0, 1, 3, 5])
+def test_a_bound_just_beside_a_decimal_is_rounded_outward_too(digits: int) -> None:
+    grid = Grid(digits, -1e6, 1e6)
+    for units in range(-500, 500):
+        decimal = float(Fraction(units) / Fraction(10) ** digits)
+        for value in (decimal, math.nextafter(decimal, -math.inf), math.nextafter(decimal, math.inf)):
+            assert grid.low(value) <= value <= grid.high(value)
+
+
 @pytest.mark.parametrize(("cells", "parts"), [(1, 10), (1, 599), (1, 2000), (40, 40), (200, 60)])
 def test_every_point_of_every_box_is_in_a_box_that_is_drawn(cells: int, parts: int) -> None:
     bounds = random_boxes(cells, parts)
