@@ -309,6 +309,9 @@ def test_workers_end_with_a_parent_that_is_killed_or_interrupted(tmp_path: Path,
     finally:
         parent.kill()
         parent.wait()
+        for name in names:  # where the test has failed
+            if name.exists() and not gone(int(name.read_text())):
+                os.kill(int(name.read_text()), signal.SIGKILL)
 
 
 def test_a_worker_ends_when_its_pipe_closes_with_the_processes_that_its_task_started(tmp_path: Path) -> None:
