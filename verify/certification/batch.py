@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from ...specs.exact import decimal_text
 from ...specs.files import write_atomically
 from ...specs.folders import make_folder
 from ...specs.reader import digest
-from ..checker.certificate_file import MAGIC
 from ..executors.task import Answer, Broken, Executor, Task, TaskOutcome
 from ..result import Result
 from .document import Evidence, Outcome, Row, Source, Why
@@ -138,15 +136,10 @@ class Batch:
 
     def _look_again(self, planned: Planned, known: Row) -> None:
         content = self._evidence(known)
-        if planned.question is None or content is None:
+        if content is None:
             self._again(planned, "it is no longer there")
             return
-        question = planned.question
-        if known.radius is not None:
-            at = known.radius.verified if known.outcome is Outcome.VERIFIED else known.radius.falsified
-            question = replace(question, epsilon=None if at is None else Fraction(at))
-        margins = tuple((entry.name, entry.margin) for entry in known.requirements)
-        self._submit(planned, "look_again", (question, content, margins))
+        self._submit(planned, "look_again", (planned.question, content, replace(known, picture=None)))
 
     def _feed(self) -> None:
         """Give the executor the next tasks, and no more than it soon needs: it holds a copy of all their files."""
@@ -162,14 +155,13 @@ class Batch:
             content = path.read_bytes() if path.is_file() else b""
         except OSError:  # it cannot be read: the same as if it were not there
             return None
-        proves = Outcome.VERIFIED if content.startswith(MAGIC) else Outcome.FALSIFIED
-        return content if digest(content) == row.evidence.sha256 and proves is row.outcome else None
+        return content if digest(content) == row.evidence.sha256 else None
 
     def _submit(self, planned: Planned, function: str, argument: Any, role: Any = None) -> None:
         entry = planned.entry
         factor, more = HARD_LIMIT
         task = Task(
-            f"setrl.verify.certification.work:{function}",
+            f"setrl.verify.certification.{'again' if function == 'look_again' else 'work'}:{function}",
             argument,
             factor * float(entry.timeout) + more,
             entry.memory,
