@@ -247,14 +247,24 @@ def test_a_process_that_ends_is_noticed_while_a_copy_of_it_holds_its_pipes(tmp_p
     assert within(2, lambda: gone(int(name.read_text())))
 
 
-def test_a_worker_that_dies_between_two_tasks_costs_none() -> None:
+@pytest.mark.parametrize("wait", [0.0, 0.2], ids=["at once", "later"])
+def test_a_worker_that_dies_between_two_tasks_costs_none(wait: float) -> None:
     with LocalExecutor() as found:
-        [first] = outcomes(found, [task(executor_tasks.pid)])
-        assert isinstance(first, Answer)
-        os.kill(first.value, signal.SIGKILL)
-        assert within(2, lambda: gone(first.value))
-        [second] = outcomes(found, [task(executor_tasks.pid)])
-    assert isinstance(second, Answer) and second.value != first.value
+        [last] = outcomes(found, [task(executor_tasks.pid)])
+        for _ in range(5):
+            assert isinstance(last, Answer)
+            killed = last.value
+            os.kill(killed, signal.SIGKILL)
+            time.sleep(wait)
+            [last] = outcomes(found, [task(executor_tasks.pid)])
+            assert isinstance(last, Answer) and last.value != killed
+
+
+def test_workers_that_cannot_begin_are_lost_and_not_started_forever(tmp_path: Path) -> None:
+    (tmp_path / "setrl.py").write_text("raise SystemExit(7)\n")
+    with LocalExecutor(path=[str(tmp_path)]) as found:
+        [outcome] = outcomes(found, [task(executor_tasks.double, 1)])
+    assert outcome == Lost("exit", "ended with exit code 7 before it answered", outcome.seconds)
 
 
 def test_a_process_that_cannot_be_started_is_a_loss(monkeypatch: pytest.MonkeyPatch) -> None:

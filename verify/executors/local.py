@@ -117,13 +117,15 @@ class LocalExecutor:
         try:
             while (following := self._next()) is not None:
                 number, parcel = following
-                if process is None or not process.lives():
-                    self._drop(process)
-                    process, problem = self._fresh()
-                outcome = process.run(parcel) if process is not None else Lost("exit", problem)
-                if process is not None and not process.lives():
-                    self._drop(process)
-                    process = None
+                outcome: TaskOutcome | None = None
+                while outcome is None:
+                    if process is None or not process.lives():
+                        self._drop(process)
+                        process, problem = self._fresh()
+                    outcome = process.run(parcel) if process is not None else Lost("exit", problem)
+                    if process is not None and not process.lives():
+                        self._drop(process)
+                        process = None
                 self._record(number, outcome)
         finally:
             self._drop(process)

@@ -62,7 +62,7 @@ class WorkerProcess:
         os.close(inbox)
         os.close(outbox)
         self._ending = threading.Lock()
-        self._killed = False
+        self._killed = self._served = False
 
     def lives(self) -> bool:
         """Whether the process is there, and has not been told to end."""
@@ -73,7 +73,7 @@ class WorkerProcess:
             return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None
         return self._process.poll() is None
 
-    def run(self, parcel: Parcel) -> TaskOutcome:
+    def run(self, parcel: Parcel) -> TaskOutcome | None:
         """Have a task done.
 
         Parameters
@@ -83,20 +83,26 @@ class WorkerProcess:
         Returns
         -------
         outcome
-            The value of an answer is pickled. After anything but an answer or a refusal the process is gone or its
-            state unknown: `close` it and take another.
+            The value of an answer is pickled. None: a process that had served before ended before it took the task,
+            which is another one's then. After anything but an answer or a refusal the process no longer `lives`:
+            `close` it and take another.
         """
         start = time.monotonic()
         until = math.inf if parcel.seconds is None else start + parcel.seconds
+        taken = False
         try:
             send(self._tasks, pickle.dumps(parcel, pickle.HIGHEST_PROTOCOL), until, self.lives)
+            receive(self._answers, until, self.lives)  # an empty message: the task is taken
+            taken = True
             outcome: TaskOutcome = pickle.loads(receive(self._answers, until, self.lives))  # noqa: S301, ours
         except LateError:
             self.kill()
             return Lost("time", f"did not end within {parcel.seconds:g} s and was killed", time.monotonic() - start)
         except ClosedError:
             self.kill()  # with what it started
-            return _death(self._reaped(), time.monotonic() - start)
+            code = self._reaped()
+            return None if self._served and not taken else _death(code, time.monotonic() - start)
+        self._served = True
         if not isinstance(outcome, Answer | Refused):
             self.kill()
         return outcome

@@ -41,12 +41,14 @@ class _Keeper:
         self._process: WorkerProcess | None = None
 
     def run(self, parcel: Parcel) -> TaskOutcome:
-        if self._process is None or not self._process.lives():
-            self._drop()
-            self._process = WorkerProcess(self._search)
-        outcome = self._process.run(parcel)
-        if not self._process.lives():
-            self._drop()
+        outcome: TaskOutcome | None = None
+        while outcome is None:
+            if self._process is None or not self._process.lives():
+                self._drop()
+                self._process = WorkerProcess(self._search)
+            outcome = self._process.run(parcel)
+            if not self._process.lives():
+                self._drop()
         return outcome
 
     def _drop(self) -> None:

@@ -48,8 +48,10 @@ def serve(tasks: int, answers: int, parent: int) -> None:
     inbox: queue.SimpleQueue[bytearray] = queue.SimpleQueue()
     threading.Thread(target=_read_tasks, args=(tasks, inbox), daemon=True).start()
     while True:
-        # no name for any of it: what was large is let go before the next task
-        send(answers, pickle.dumps(call(pickle.loads(inbox.get())), pickle.HIGHEST_PROTOCOL))  # noqa: S301, our own
+        parcel: Parcel = pickle.loads(inbox.get())  # noqa: S301, from the process that started this one
+        send(answers, b"")  # taken: should this process end now, that is the task's doing
+        send(answers, pickle.dumps(call(parcel), pickle.HIGHEST_PROTOCOL))
+        del parcel  # it may be large
 
 
 def call(parcel: Parcel) -> TaskOutcome:
