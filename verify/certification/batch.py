@@ -84,7 +84,7 @@ class Batch:
     executor: Executor
     cached: bool = True
     recheck: bool = False
-    stop: Callable[[], bool] = lambda: False
+    stop: Callable[[], bool] = field(default_factory=lambda: lambda: False)
     watch: Watch = field(default_factory=Watch)
     _rows: dict[str, Row] = field(default_factory=dict)
     _tasks: dict[int, tuple[str, Any]] = field(default_factory=dict)
