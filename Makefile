@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.setrl-stamp
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test test-slow check format format-check lint types contracts docstrings clean
+.PHONY: help env verifiers demo test test-slow check format format-check lint types contracts docstrings clean
 
 help:
 	@echo 'make env          create $(VENV) and install setrl into it (quick when it is up to date)'
@@ -16,6 +16,7 @@ help:
 	@echo 'make test-slow    run the tests that take longer'
 	@echo 'make check        what CI runs: format, lint, types, import contracts, docstrings, tests'
 	@echo 'make format       format the code'
+	@echo 'make verifiers    install the external verifiers of setrl crosscheck into $(VERIFIERS) (gigabytes)'
 	@echo 'make clean        remove the environment and everything that was built'
 	@echo
 	@echo 'PYTHON=python3.12 chooses the interpreter, VENV=folder the environment.'
@@ -72,6 +73,13 @@ contracts: env
 
 docstrings: env
 	$(BIN)/pytest -q tests/test_docstrings.py
+
+# Verifiers that others wrote, for `setrl crosscheck`: their versions of onnx and torch (gigabytes) stay out of $(VENV).
+VERIFIERS ?= .verifiers
+
+verifiers: env
+	$(BIN)/python -m venv $(VERIFIERS)
+	$(VERIFIERS)/bin/python -m pip install --quiet --disable-pip-version-check -r verify/crosscheck/requirements.txt
 
 clean:
 	rm -rf $(VENV) build dist demo .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis

@@ -1,0 +1,1 @@
+"""The same claims, decided by verifiers that others wrote: subprocesses with limits, one adapter per tool."""
