@@ -16,7 +16,21 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from . import __version__
-from .commands import certify, check, doctor, evaluate, init, inspect, radius, schema, simulate, sweep, train, verify
+from .commands import (
+    certify,
+    check,
+    doctor,
+    evaluate,
+    init,
+    inspect,
+    radius,
+    schema,
+    simulate,
+    sweep,
+    train,
+    verify,
+    vnnlib,
+)
 from .commands.exit_codes import ABORTED, BAD_INPUT, INTERNAL, OK, PIPE_CLOSED
 from .commands.output import one_line, tell
 
@@ -32,6 +46,7 @@ COMMANDS: tuple[tuple[Callable[..., int], str, str | None], ...] = (
     (init.init, "init", "Print a commented specification to fill in."),
     (inspect.inspect, "inspect", "List what is in a policy and what is not supported."),
     (doctor.doctor, "doctor", "Test this machine and print versions."),
+    (vnnlib.vnnlib, "vnnlib", "Answer a VNN-LIB query about a network: sat or unsat."),
     (schema.schema, "schema", None),
 )
 """Function, name, and its line in the list of commands where that is not the function's own first line."""
