@@ -1,7 +1,7 @@
 """A `Query` as VNN-LIB text, versions 1.0 and 2.0.
 
-The text asks at least what the query asks: what no decimal expresses exactly is moved so that more inputs violate, hence
-`unsat` of the text is `unsat` of the query. Coefficients are exact always, because neither direction is outward for them.
+The text asks at least what the query asks: what no decimal expresses exactly is moved so that more inputs violate,
+hence `unsat` of the text is `unsat` of the query. Coefficients are always exact: no direction is outward for them.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ def vnnlib_2_text(query: Query, network: str = "N") -> str:
 
     shown = {kind: ",".join(map(str, shape)) for kind, shape in shapes.items()}
     header = [
-        "(vnnlib-version <2.0>)",
         *_comments(query.comment),
+        "(vnnlib-version <2.0>)",
         f"(declare-network {network}",
         f"  (declare-input X real [{shown['X']}])",
         f"  (declare-output Y real [{shown['Y']}])",
