@@ -55,7 +55,7 @@ def _from_bounds(xp: Any, slope: Any, low: Any, high: Any) -> Relaxation:
 def _piecewise_linear(
     point: Callable[[Any], Any], breakpoints: tuple[float, ...], lower: Any, upper: Any, xp: Any
 ) -> Relaxation:
-    """Chord slope; the residual is piecewise linear, so its extremes are at the ends and the breakpoints inside."""
+    """Chord slope."""
     width = upper - lower
     positive = width > 0
     safe = xp.where(positive, width, xp.ones_like(width))
@@ -64,6 +64,13 @@ def _piecewise_linear(
     flat = point(tiny + 1.0) - point(tiny)  # any float is a sound slope
     slope = xp.where(positive, (high_value - low_value) / safe, flat)
     slope = xp.where(xp.isfinite(slope), slope, xp.zeros_like(slope))
+    return _from_bounds(xp, slope, *_piecewise_residual(point, breakpoints, slope, lower, upper, xp))
+
+
+def _piecewise_residual(
+    point: Callable[[Any], Any], breakpoints: tuple[float, ...], slope: Any, lower: Any, upper: Any, xp: Any
+) -> tuple[Any, Any]:
+    """Bounds of f(x) - m x: it is piecewise linear, so its extremes are at the ends and the breakpoints inside."""
     low, high = None, None
     for x in (lower, upper, *breakpoints):
         if isinstance(x, float):
@@ -84,7 +91,7 @@ def _piecewise_linear(
         error = xp.where(exactly, xp.zeros_like(error), rounding.enlarged(error, 3))
         low = residual - error if low is None else xp.minimum(low, residual - error)
         high = residual + error if high is None else xp.maximum(high, residual + error)
-    return _from_bounds(xp, slope, low, high)
+    return low, high
 
 
 def _tanh(lower: Any, upper: Any, xp: Any) -> Relaxation:
@@ -119,6 +126,12 @@ def _chord_slope(lower: Any, upper: Any, xp: Any) -> Any:
 
 
 def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
+    """Relaxation of given slopes (a leading axis of alternatives is allowed)."""
+    slope = _between(slope, xp.zeros_like(slope), xp.ones_like(slope), xp)
+    return _from_bounds(xp, slope, *_tanh_residual(slope, lower, upper, xp))
+
+
+def _tanh_residual(slope: Any, lower: Any, upper: Any, xp: Any) -> tuple[Any, Any]:
     """Bounds of tanh(x) - m x for given slopes (a leading axis of alternatives is allowed).
 
     tanh is concave for x >= 0: there the residual's minimum is at an end, and its maximum is bounded by the tangent at
@@ -126,10 +139,10 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     last term vanish, and so does an end of the interval that lies before that place. For x <= 0 the same holds for
     -tanh(-x).
     """
-    slope = _between(slope, xp.zeros_like(slope), xp.ones_like(slope), xp)
-    # the place where f' = m, and any place is sound; for m < 2^-50 the root rounds to 1
+    # the place where f' = m, and any place is sound; for m < 2^-50 the root rounds to 1, for m > 1 there is none
     usable = slope > 2.0**-50
-    root = xp.sqrt(1.0 - xp.where(usable, slope, xp.ones_like(slope)))
+    one = xp.ones_like(slope)
+    root = xp.sqrt(1.0 - xp.where(usable, xp.minimum(slope, one), one))
     place = xp.where(usable, xp.atanh(root), xp.full_like(root, 20.0))
     zero = xp.zeros_like(slope)
     ends = xp.stack([lower + zero, upper + zero])
@@ -144,7 +157,7 @@ def _tanh_with_slope(slope: Any, lower: Any, upper: Any, xp: Any) -> Relaxation:
     tangent = _tangent_bound(_between(place, start, stop, xp), slope, start, stop, xp)
     high = xp.where(upper > 0, xp.maximum(high, tangent[0, ...]), high)
     low = xp.where(lower < 0, xp.minimum(low, -tangent[1, ...]), low)
-    return _from_bounds(xp, slope, low, high)
+    return low, high
 
 
 def _residual(x: Any, slope: Any, xp: Any) -> tuple[Any, Any]:
@@ -215,21 +228,50 @@ def relax(activation: Activation, lower: Any, upper: Any) -> Relaxation:
             return _tanh(lower, upper, xp)
         case "sigmoid":
             return _sigmoid(lower, upper, xp)
+        case "leaky_relu" | "clip":
+            return _piecewise_linear(*_pieces(activation, xp), lower, upper, xp)
+    raise AssertionError(f"no relaxation for {activation.kind}")
+
+
+def _pieces(activation: Activation, xp: Any) -> tuple[Callable[[Any], Any], tuple[float, ...]]:
+    """A piecewise linear activation and its finite breakpoints."""
+    match activation.kind:
+        case "relu":
+            return lambda x: xp.maximum(x, xp.zeros_like(x)), (0.0,)
         case "leaky_relu":
-            slope = activation.slope
+            return lambda x: xp.where(x >= 0, x, activation.slope * x), (0.0,)
+    low, high = activation.lower, activation.upper
+    return lambda x: xp.clip(x, low, high), tuple(float(b) for b in (low, high) if abs(b) != float("inf"))
 
-            def leaky(x: Any) -> Any:
-                return xp.where(x >= 0, x, slope * x)
 
-            return _piecewise_linear(leaky, (0.0,), lower, upper, xp)
-        case "clip":
-            low, high = activation.lower, activation.upper
-            finite = tuple(float(b) for b in (low, high) if abs(b) != float("inf"))
+def residual_bounds(activation: Activation, slope: Any, lower: Any, upper: Any) -> tuple[Any, Any]:
+    """Bounds (d, D) with ``d <= f(x) - m x <= D`` for every x in [lower, upper], whatever the slopes m are.
 
-            def clipped(x: Any) -> Any:
-                return xp.clip(x, low, high)
+    Rounding included: ``m x + d`` is a line below the activation on the interval, and ``m x + D`` one above.
 
-            return _piecewise_linear(clipped, finite, lower, upper, xp)
+    Parameters
+    ----------
+    activation : Activation
+    slope : array, shape (..., n)
+        Any floats; leading axes of alternatives are allowed.
+    lower, upper : array, shape (..., n)
+        Bounds of x, lower <= upper.
+
+    Returns
+    -------
+    pair of arrays
+        Of the slopes' shape; not finite where the bounds or slopes are not.
+    """
+    xp = namespace(lower)
+    match activation.kind:
+        case "tanh":
+            return _tanh_residual(slope, lower, upper, xp)
+        case "sigmoid":  # sigmoid(x) - m x = 1/2 + (tanh(x / 2) - 4 m x / 2) / 2
+            low, high = _tanh_residual(4.0 * slope, 0.5 * lower, 0.5 * upper, xp)
+            low, high = 0.5 + 0.5 * low, 0.5 + 0.5 * high
+            return low - rounding.relative_error(low, 3), high + rounding.relative_error(high, 3)
+        case "relu" | "leaky_relu" | "clip":
+            return _piecewise_residual(*_pieces(activation, xp), slope, lower, upper, xp)
     raise AssertionError(f"no relaxation for {activation.kind}")
 
 
