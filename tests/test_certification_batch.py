@@ -212,6 +212,16 @@ def test_a_decided_batch_has_its_evidence_on_the_disk(decided: Decided) -> None:
     assert all(row.claim for row in decided.rows[:3]) and not decided.rows[3].claim
 
 
+def test_rows_of_files_with_one_name_have_evidence_of_their_own(folder: Path) -> None:
+    (folder / "policies" / "new").mkdir()
+    shutil.copy(folder / "policies" / "point.onnx", folder / "policies" / "new" / "set.onnx")
+    found = rows(folder, Scripted(), OWN, OWN.replace("policies/", "policies/new/"))
+    assert [row.evidence is not None for row in found] == [True, True]
+    for row in found:
+        assert row.evidence is not None
+        assert digest((folder / "out" / row.evidence.path).read_bytes()) == row.evidence.sha256
+
+
 def test_unchanged_rows_are_taken_from_the_journal_as_they_were(decided: Decided) -> None:
     found = decided.again()
     assert decided.executor.tasks == []

@@ -145,6 +145,9 @@ def test_a_certified_radius_is_verified_and_not_below_its_floor(
     assert found.passed is passes
     allowed = judged(row(outcome, radius=radius, search=True), ahead(search=SEARCH, allow_unknown=True))
     assert allowed.passed is (outcome is not FALSIFIED)
+    demanding = ahead(search=replace(SEARCH, floor=F(0)), allow_unknown=True)
+    unproved = judged(row(UNKNOWN, radius="0.1", search=True), demanding)
+    assert (unproved.passed, unproved.exit_code) == (False, 5)
 
 
 def test_what_is_expected_and_required_at_a_radius_says_nothing_about_a_search() -> None:

@@ -239,7 +239,7 @@ def test_a_byte_of_a_file_changes_the_key(name: str, folder: Path) -> None:
 
 
 SETTINGS = (
-    *("epsilon: 0.1", "epsilon: 0.01", "epsilon: 0", "timeout: 299.9", "memory: 3 GiB", "spread: 2"),
+    *("epsilon: 0.1", "epsilon: 0.01", "epsilon: 0", "timeout: 299.9", "timeout: 299.8", "memory: 3 GiB", "spread: 2"),
     *("radius: {}", "radius: {most: 9}", "radius: {resolution: 0.01}"),
     *(f"options: {{{option}}}" for option in ("splits: 1", "splits: 2", "taylor_order: 4", "generators: 13")),
     "options: {method: linearization}",

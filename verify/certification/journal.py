@@ -93,8 +93,6 @@ class Journal:
             self._file.seek(0)
             content = self._file.read()
             whole = content.rfind(b"\n") + 1
-            if whole < len(HEADER):
-                whole = 0
             self._file.truncate(whole)
             if not whole:
                 self._file.write(HEADER)
