@@ -126,12 +126,14 @@ class Chain:
         """Whether no activation has been followed."""
         return not any(isinstance(link.layer, Lines) for link in self.links)
 
-    def lower_functions(self, rows: Array) -> tuple[Array, Ball]:
+    def lower_functions(self, rows: Array, entries: list[Array] | None = None) -> tuple[Array, Ball]:
         """Lower bounds of linear functions of what is behind the last layer, as linear functions of the input.
 
         Parameters
         ----------
         rows : array, shape (k, size)
+        entries : list, optional
+            Receives the matrix behind every layer, the last layer's first.
 
         Returns
         -------
@@ -143,6 +145,8 @@ class Chain:
         matrix: Array = rows[None]  # one for all cells, until lines make them differ
         offset, error = np.zeros((batch, count)), np.zeros((batch, count))
         for link in reversed(self.links):
+            if entries is not None:
+                entries.append(matrix)
             error = error + _weighted(np.abs(matrix), link.room)
             if isinstance(link.layer, Affine):
                 weight, bias = affine_weights(link.layer)

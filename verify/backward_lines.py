@@ -88,6 +88,29 @@ def usual_slopes(activation: Activation, low: Array, high: Array) -> tuple[Array
     raise AssertionError(f"no lines for {activation.kind}")
 
 
+def sensible_slopes(activation: Activation, low: Array, high: Array) -> tuple[tuple[Array, Array], ...]:
+    """Intervals of slopes that may be of use, for the lines below and above; none is longer than a point where a
+    neuron is stable.
+    """
+    across = chord(activation, low, high)
+    below, above = usual_slopes(activation, low, high)
+    choices = [[below, across], [above, across]]
+    if activation.kind in ("relu", "leaky_relu"):
+        flat = activation.slope if activation.kind == "leaky_relu" else 0.0
+        bends = (low < 0.0) & (high > 0.0)
+        choices[flat > 1.0] += [np.where(bends, flat, below), np.where(bends, 1.0, below)]
+    elif activation.kind in ("tanh", "sigmoid"):
+        choices[0].append(np.where(low < 0.0, _derivative(activation, low), below))
+        choices[1].append(np.where(high > 0.0, _derivative(activation, high), above))
+    return tuple((np.minimum.reduce(side), np.maximum.reduce(side)) for side in choices)
+
+
+def _derivative(activation: Activation, x: Array) -> Array:
+    scale = 1.0 if activation.kind == "tanh" else 0.5
+    value = np.tanh(scale * x)
+    return scale * scale * (1.0 - value) * (1.0 + value)
+
+
 def chord(activation: Activation, low: Array, high: Array) -> Array:
     """Slope from end to end; 0 where the range is a point."""
     return _ratio(activate(activation, high) - activate(activation, low), high - low)
