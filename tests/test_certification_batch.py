@@ -7,10 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction as F
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from certification_cases import PLANT, SPECIFICATION, Scripted, names, planned_of, table, workshop
+from certification_cases import row as made_up
 
 import setrl
 from setrl.specs.errors import InputError
@@ -22,6 +24,7 @@ from setrl.verify.certification.certify import JOURNAL, certify
 from setrl.verify.certification.document import Outcome, Row, Source, Why
 from setrl.verify.certification.figures import Figures
 from setrl.verify.certification.journal import Journal
+from setrl.verify.certification.progress import Table
 from setrl.verify.executors.task import Answer, Broken, Lost, Refused, Task, TaskOutcome
 from setrl.verify.parts import Cut
 from setrl.verify.result import Verdict
@@ -319,11 +322,20 @@ def verified(decided: Decided) -> Row:
     return replace(decided.rows[3], outcome=Outcome.VERIFIED, why=None)
 
 
+def shortened(decided: Decided) -> Row:
+    """The first row with half of its certificate, of which the journal has the digest."""
+    decided.path(0).write_bytes(decided.path(0).read_bytes()[:2000])
+    first = decided.rows[0]
+    assert first.evidence is not None
+    return replace(first, evidence=replace(first.evidence, sha256=digest(decided.path(0).read_bytes())))
+
+
 FORGED: dict[str, tuple[Callable[[Decided], Row], int, str]] = {
     "of a smaller radius": (with_evidence(1), 0, "another perturbation radius"),
     "of the specification's radius": (with_evidence(2), 0, "another perturbation radius"),
     "of another specification": (with_evidence(3), 0, "specification"),
     "of another verdict": (falsified, 0, "specification"),
+    "half of it": (shortened, 0, "the evidence is damaged"),
     "of a violation": (verified, 3, "a witness does not prove VERIFIED"),
     "of a smaller margin": (better("margin"), 0, "smaller margins"),
     "of fewer requirements": (better("a requirement more"), 0, "smaller margins"),
@@ -552,6 +564,15 @@ def test_a_report_is_written_by_nobody_who_was_stopped(folder: Path) -> None:
     assert certify(table(folder, OWN), folder / "out", executor, stop=lambda: True) is None
     assert executor.left and executor.tasks == []
     assert sorted(path.name for path in (folder / "out").iterdir()) == [".lock", JOURNAL]
+
+
+def test_a_live_table_keeps_up_with_thousands_of_rows_that_come_at_once() -> None:
+    drawings: list[Any] = []
+    watch = Table(SimpleNamespace(update=drawings.append), total=3000)
+    for number in range(3000):
+        watch.finished(made_up(Outcome.VERIFIED if number % 3 else Outcome.UNKNOWN, name=str(number)))
+    assert watch.counts == {Outcome.VERIFIED: 2000, Outcome.UNKNOWN: 1000}
+    assert 1 <= len(drawings) < 300
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections import Counter
@@ -18,6 +19,8 @@ from .plan import Planned
 
 MOST_SHOWN = 12
 """Rows that a live table shows at once."""
+PAUSE = 0.1
+"""Seconds between two drawings of a live table at least."""
 
 _COLORS = {
     Outcome.VERIFIED: "green",
@@ -91,6 +94,7 @@ class Table(Watch):
     rows: list[Row] = field(default_factory=list)
     counts: Counter[Outcome] = field(default_factory=Counter)
     now: Sequence[tuple[str, float]] = ()
+    drawn: float = -math.inf
 
     def begin(self, planned: Sequence[Planned], workers: int) -> None:
         """All rows."""
@@ -108,6 +112,9 @@ class Table(Watch):
         self._draw()
 
     def _draw(self) -> None:
+        if time.monotonic() - self.drawn < PAUSE:  # thousands of unchanged rows come at once
+            return
+        self.drawn = time.monotonic()
         from rich.table import Table as RichTable
         from rich.text import Text
 
