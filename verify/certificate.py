@@ -19,7 +19,8 @@ from .options import Options
 from .splitting import Exploration, InitialSet
 
 MAGIC = b"setrl-cert\r\n\x1a\x00\x00\x00"
-VERSION = 1
+VERSIONS = {"zonotope": 1, "crown": 2, "best": 2}
+"""Version of the format by the enclosure of the policy: the second one says for every period which form it has."""
 
 
 def certificate_of(
@@ -64,7 +65,7 @@ def certificate_of(
         }
     payload = _payload(evidence)
     header = {
-        "format": VERSION,
+        "format": VERSIONS[options.enclosure],
         "setrl": __version__,
         **digests,
         "observation_radius": None if observation_radius is None else [str(radius) for radius in observation_radius],

@@ -15,12 +15,24 @@ from numpy.typing import NDArray
 
 from ..models.policy import Activation
 from . import rounding
+from .action_sets import (
+    CLIPPED,
+    NEURON,
+    OBSERVATION_BOX,
+    OBSERVATION_PRODUCT,
+    PERTURBATION,
+    TWO_LINES,
+    ActionChoices,
+    ActionSet,
+    better_set,
+    merged_set,
+)
+from .backward_action import backward_set
 from .deployed import conversion_error, deployed_error
 from .integrator import PeriodFlow, integrate
 from .model import Model, clip_activations
-from .network import enclose_layers, merge_rows
+from .network import enclose_layers
 from .options import LEAST_GENERATORS, Options
-from .quadratic_map import Products
 from .relaxations import relax
 from .zonotope import (
     Zonotope,
@@ -81,37 +93,6 @@ class Cells:
             self.growth[keep],
             None if self.rate is None else self.rate[:, keep],
         )
-
-
-OBSERVATION_PRODUCT, OBSERVATION_BOX, PERTURBATION, NEURON, CLIPPED = range(5)
-"""Where a private row of an action set comes from."""
-
-
-@dataclass(frozen=True)
-class ActionChoices:
-    """Choices in the enclosure of the policy's action; nothing in here is a bound.
-
-    Attributes
-    ----------
-    products : Products or None
-        Of the observation's map; None where plain states are observed.
-    seen : Zonotope or None, shape (B, n_obs)
-        What the map made of the states.
-    lines : tuple of array, shape (B, n) each
-        Of every activation the slopes, of a smooth one also offsets and errors; last the slopes of the specification's
-        clip where there is one.
-    origins : array of int, shape (k, 2)
-        What each private row of the unmerged action set is: a kind, one of `OBSERVATION_PRODUCT` to `CLIPPED`, and
-        which of that kind; neurons are counted through all activations.
-    kept : array of int, shape (B, p)
-        Positions in `origins` of the private rows that were not merged.
-    """
-
-    products: Products | None
-    seen: Zonotope | None
-    lines: tuple[Array, ...]
-    origins: NDArray[np.intp]
-    kept: NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -276,21 +257,46 @@ class Engine:
         Returns the action set, e_L, the share of the private part that comes from the observation perturbation, and the
         choices.
         """
-        model, products, image = self.model, None, None
+        model, options, products, image = self.model, self.options, None, None
         if model.observed is not None:
             seen = state.coordinates(model.observed)
         else:
             from .flow import image_of
 
             assert model.loop.observation is not None
-            image, _, products = image_of(model.loop.observation, state, self.options.quadratic_rows * state.dimension)
+            image, _, products = image_of(model.loop.observation, state, options.quadratic_rows * state.dimension)
             seen = unbox(image)
         before = seen.generators.shape[1]
         perturbed = append_rows(seen, diagonal_rows(radius)) if radius.any() else seen
         after = perturbed.generators.shape[1]
+        noise, forms = slice(before - shared, after - shared), None
+        two_lines: tuple[Array, ...] = ()
+        if options.enclosure == "zonotope":
+            found = self._forward(perturbed, shared, noise)
+        else:
+            found = backward = backward_set(model, options, perturbed, shared, noise)
+            two_lines, forms = backward.lines, np.full(state.batch, TWO_LINES)
+            if options.enclosure == "best":
+                found, forms = better_set(self._forward(perturbed, shared, noise), backward, shared)
+        products_and_box = before - shared
+        size = radius.shape[1]
+        clipped = 0 if model.clip is None else found.error.shape[1]
+        kinds = [
+            (OBSERVATION_PRODUCT, np.arange(max(products_and_box - size, 0))),
+            (OBSERVATION_BOX, np.arange(min(products_and_box, size))),
+            (PERTURBATION, np.arange(after - before)),
+            (NEURON, found.neurons),
+            (CLIPPED, np.arange(clipped)),
+        ]
+        origins = np.concatenate([np.stack([np.full_like(index, kind), index], 1) for kind, index in kinds])
+        choices = ActionChoices(products, image, found.lines, two_lines, forms, origins, found.kept)
+        return found.output, found.error, found.noise_share, choices
+
+    def _forward(self, perturbed: Zonotope, shared: int, noise: slice) -> ActionSet:
+        """Action set of a set of observations by one affine form of all neurons."""
+        model = self.model
         enclosure = enclose_layers(model.layers, perturbed)
         output = enclosure.output
-        precision = model.loop.policy.precision
         lines: list[Array] = []
         activations = (layer for layer in model.layers if isinstance(layer, Activation))
         for activation, relaxation in zip(activations, enclosure.relaxations, strict=True):
@@ -298,27 +304,12 @@ class Engine:
             lines += [relaxation.slope, *((relaxation.offset, relaxation.error) if smooth else ())]
         error = np.zeros_like(output.center)
         if self.options.deployed:
-            error = deployed_error(model.layers, enclosure.bounds, precision)
+            error = deployed_error(model.layers, enclosure.bounds, model.loop.policy.precision)
         output = Zonotope(output.center, output.generators, rounding.enlarged(output.radius + error, 1))
         if model.clip is not None:
             output, slope = self._clip(output)
             lines.append(slope)
-        private = np.abs(output.generators[:, shared:])
-        from_noise = private[:, before - shared : after - shared].sum((1, 2))
-        whole = private.sum((1, 2)) + output.radius.sum(1)
-        share = from_noise / np.where(whole > 0.0, whole, 1.0)
-        merged, kept = merge_rows(output, shared, self.options.action_rows)
-        products_and_box = before - shared
-        size = radius.shape[1]
-        kinds = [
-            (OBSERVATION_PRODUCT, np.arange(max(products_and_box - size, 0))),
-            (OBSERVATION_BOX, np.arange(min(products_and_box, size))),
-            (PERTURBATION, np.arange(after - before)),
-            (NEURON, enclosure.origins),
-            (CLIPPED, np.arange(0 if model.clip is None else error.shape[1])),
-        ]
-        origins = np.concatenate([np.stack([np.full_like(index, kind), index], 1) for kind, index in kinds])
-        return merged, error, share, ActionChoices(products, image, tuple(lines), origins, kept)
+        return merged_set(output, shared, self.options.action_rows, noise, error, tuple(lines), enclosure.origins)
 
     def _clip(self, action: Zonotope) -> tuple[Zonotope, Array]:
         """Clip every action to its bounds; each relaxation error becomes a private generator. And the slopes."""

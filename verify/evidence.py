@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .action_sets import TWO_LINES
 from .closed_loop import Period
 from .model import Model
 from .quadratic_map import Products
@@ -153,7 +154,10 @@ class Recorder:
         count, dimension = tracked.generators.shape[1:]
         boxed = np.flatnonzero(tracked.radius[place] > 0.0)
         shared = np.concatenate([present, count + boxed])
-        origins = choices.origins
+        origins, lines = choices.origins, choices.lines
+        if choices.forms is not None:
+            stream.count(choices.forms[place])
+            lines = choices.two_lines if choices.forms[place] == TWO_LINES else lines
         if choices.products is not None and choices.seen is not None:
             where = np.full(count + dimension, -1)
             where[shared] = np.arange(shared.size)
@@ -163,7 +167,7 @@ class Recorder:
             stream.put(choices.seen.radius[place])
             origins = origins.copy()
             origins[fresh, 1] = np.arange(fresh.size)
-        stream.put(*(line[place] for line in choices.lines))
+        stream.put(*(line[place] for line in lines))
         generators = computed.generators[place]
         private = choices.kept[place]
         first, inputs = count + dimension, self.model.inputs

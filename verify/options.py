@@ -19,6 +19,9 @@ class Options:
     ----------
     method : {"jets", "linearization"}
         Flow enclosure: 2-jets of the flow map with the quadratic map, or classic conservative linearisation.
+    enclosure : {"zonotope", "crown", "best"}
+        Policy enclosure: one affine form of all neurons, two linear bounds of the action by backward substitution, or
+        for every cell and period the one of both whose set of actions adds less.
     taylor_order : int
         Time order K of the flow enclosure.
     generators : int
@@ -46,6 +49,7 @@ class Options:
     """
 
     method: Literal["jets", "linearization"] = "jets"
+    enclosure: Literal["zonotope", "crown", "best"] = "zonotope"
     taylor_order: int = 5
     generators: int = 14
     quadratic_rows: int = 4
@@ -62,6 +66,8 @@ class Options:
     def __post_init__(self) -> None:
         if self.method not in ("jets", "linearization"):
             raise UsageError(f"method must be jets or linearization, got {self.method!r}")
+        if self.enclosure not in ("zonotope", "crown", "best"):
+            raise UsageError(f"enclosure must be zonotope, crown or best, got {self.enclosure!r}")
         limits = {"taylor_order": (2, 30), "generators": (2, 1000), "quadratic_rows": (0, 100), "action_rows": (0, 100)}
         limits |= {"max_substeps": (1, 4096), "slabs": (1, 1024), "batch": (1, 65536), "splits": (1, 10**7)}
         for name, (least, most) in limits.items():
