@@ -17,12 +17,13 @@ class Kind(StrEnum):
     specification = "specification"
     plant = "plant"
     certificate = "certificate"
+    certification = "certification"
 
 
 def schema(
     kind: Annotated[Kind, typer.Argument(help="Kind of file.")] = Kind.specification,
 ) -> int:
-    """Print the JSON Schema of specifications, of plants, or of the header of certificates."""
+    """Print the JSON Schema of specifications, of plants, certificates' headers or certification manifests."""
     if kind is Kind.certificate:
         from ..verify.certificate_schema import certificate_schema
 

@@ -14,7 +14,7 @@ from .plant_document import Document, PlantDocument
 KINDS: dict[str, tuple[type[Document], str]] = {
     "specification": (SpecificationDocument, "setrl specification"),
     "plant": (PlantDocument, "setrl plant"),
-    "certification": (ManifestDocument, "setrl certification manifest"),
+    "certification": (ManifestDocument, "setrl certification"),
 }
 
 

@@ -100,7 +100,7 @@ def test_what_is_lost_refused_or_broken_harms_no_other_row(folder: Path) -> None
     tried = [task.name.rpartition(" @ ")[2] for task in again.tasks]
     assert tried == ["1", "2", "3", "6", "7"]  # verdicts stay, and so does what used up what it was given
     assert [row.source for row in second] == [
-        Source.PROVED if row.epsilon in tried else Source.JOURNAL for row in second
+        Source.DECIDED if row.epsilon in tried else Source.JOURNAL for row in second
     ]
 
 
@@ -140,7 +140,7 @@ def test_the_same_question_under_two_names_is_decided_once_and_reported_twice(fo
         assert executor.functions == expected
         assert names(found) == ["policies/set.onnx x specs/own.yaml", "policies/copy.onnx x specs/own.yaml"]
         assert [row.policy.name for row in found] == ["policies/set.onnx", "policies/copy.onnx"]
-        assert [row.source for row in found] == [(Source.PROVED, Source.JOURNAL, Source.RECHECKED)[run_number]] * 2
+        assert [row.source for row in found] == [(Source.DECIDED, Source.JOURNAL, Source.RECHECKED)[run_number]] * 2
         assert found[0].evidence == found[1].evidence and found[0].outcome is Outcome.VERIFIED
 
 
@@ -210,7 +210,7 @@ def test_a_decided_batch_has_its_evidence_on_the_disk(decided: Decided) -> None:
         assert row.evidence is not None
         assert (row.evidence.sha256, row.evidence.bytes) == (digest(content), len(content))
         assert row.evidence.kind == ("witness" if number == 3 else "certificate")
-        assert row.source is Source.PROVED and row.timings["total"] == 0.125
+        assert row.source is Source.DECIDED and row.timings["total"] == 0.125
     assert len({decided.path(number) for number in range(4)}) == 4
     assert all(row.claim for row in decided.rows[:3]) and not decided.rows[3].claim
 
@@ -228,13 +228,13 @@ def test_rows_of_files_with_one_name_have_evidence_of_their_own(folder: Path) ->
 def test_unchanged_rows_are_taken_from_the_journal_as_they_were(decided: Decided) -> None:
     found = decided.again()
     assert decided.executor.tasks == []
-    assert [replace(row, source=Source.PROVED) for row in found] == list(decided.rows)
+    assert [replace(row, source=Source.DECIDED) for row in found] == list(decided.rows)
 
 
 def test_nothing_is_taken_from_the_journal_where_that_is_not_wanted(decided: Decided) -> None:
     found = decided.again(cached=False)
     assert decided.executor.functions == ["decide"] * 4
-    assert {row.source for row in found} == {Source.PROVED}
+    assert {row.source for row in found} == {Source.DECIDED}
 
 
 def remove(path: Path) -> None:
@@ -269,7 +269,7 @@ def test_evidence_that_is_gone_or_not_the_same_is_proved_again(
         damage(decided.path(number))
     found = decided.again(recheck=recheck)
     assert decided.executor.functions.count("decide") == 2
-    assert [row.source is Source.PROVED for row in found] == [False, True, False, True]
+    assert [row.source is Source.DECIDED for row in found] == [False, True, False, True]
     assert [row.evidence for row in found] == [row.evidence for row in decided.rows]
     assert digest(decided.path(1).read_bytes()) == getattr(decided.rows[1].evidence, "sha256", "")
 
@@ -284,7 +284,7 @@ def test_evidence_that_is_looked_at_again_proves_everything_that_is_reported(dec
     found = decided.again(recheck=True)
     assert decided.executor.functions == ["look_again"] * 4
     assert {row.source for row in found} == {Source.RECHECKED}
-    assert [replace(row, source=Source.PROVED) for row in found] == list(decided.rows)
+    assert [replace(row, source=Source.DECIDED) for row in found] == list(decided.rows)
 
 
 def with_evidence(number: int) -> Callable[[Decided], Row]:
@@ -406,7 +406,7 @@ def test_a_search_that_found_only_violations_is_looked_at_again(decided: Decided
 def test_a_look_again_that_has_no_answer_is_no_acceptance(decided: Decided, lost: TaskOutcome) -> None:
     found = decided.again(recheck=True, script=lambda task: lost if task.function.endswith("look_again") else None)
     assert decided.executor.functions == ["look_again"] * 4 + ["decide"] * 4
-    assert {row.source for row in found} == {Source.PROVED}
+    assert {row.source for row in found} == {Source.DECIDED}
     assert [row.outcome for row in found] == [row.outcome for row in decided.rows]
 
 

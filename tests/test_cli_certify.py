@@ -139,16 +139,16 @@ def test_unchanged_rows_keep_their_verdict_until_something_changes(folder: Path,
     first = report()
     assert run(capsys, "certify", path, "--workers", "1").code == 0
     again = report()
-    assert {row.source for row in first.rows} == {Source.PROVED}
+    assert {row.source for row in first.rows} == {Source.DECIDED}
     assert {row.source for row in again.rows} == {Source.JOURNAL}
-    assert [replace(row, source=Source.PROVED) for row in again.rows] == list(first.rows)
+    assert [replace(row, source=Source.DECIDED) for row in again.rows] == list(first.rows)
     assert run(capsys, "certify", path, "--workers", "1", "--recheck").code == 0
     assert {row.source for row in report().rows} == {Source.RECHECKED}
     assert run(capsys, "certify", path, "--workers", "1", "--no-cache").code == 0
-    assert {row.source for row in report().rows} == {Source.PROVED}
+    assert {row.source for row in report().rows} == {Source.DECIDED}
     (folder / "quick.yaml").write_text(QUICK + "# another byte\n")
     assert run(capsys, "certify", path, "--workers", "1").code == 0
-    assert {row.source for row in report().rows} == {Source.PROVED}
+    assert {row.source for row in report().rows} == {Source.DECIDED}
 
 
 def test_certificates_and_witnesses_of_a_batch_are_accepted_by_the_checker(folder: Path, capsys: Any) -> None:
@@ -221,7 +221,7 @@ def test_lost_workers_make_their_rows_unknown_and_touch_no_other(folder: Path, m
     # whole again: what was limited keeps its word, what was lost is tried again
     again = certify(manifest, folder / "out", LocalExecutor(2))
     assert again is not None
-    assert [row.source is Source.PROVED for row in again.rows] == [name == "killed" for name in names]
+    assert [row.source is Source.DECIDED for row in again.rows] == [name == "killed" for name in names]
     assert {row.policy.name for row in again.rows if not row.passed} == {"memory.onnx", "forever.onnx"}
 
 
@@ -245,4 +245,4 @@ def test_ctrl_c_stops_and_the_next_run_goes_on(folder: Path, tmp_path: Path) -> 
     again = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert again.returncode == 0, again.stderr
     sources = [row.source for row in report().rows]
-    assert sources.count(Source.JOURNAL) >= 3 and sources.count(Source.PROVED) >= 1
+    assert sources.count(Source.JOURNAL) >= 3 and sources.count(Source.DECIDED) >= 1

@@ -43,7 +43,7 @@ class Outcome(StrEnum):
 class Source(StrEnum):
     """How this run knows a row's outcome."""
 
-    PROVED = "proved"
+    DECIDED = "decided"
     """Decided in this run."""
     JOURNAL = "journal"
     """On the word of the journal: nothing that the verdict depends on has changed."""
@@ -264,7 +264,7 @@ class Row:
     epsilon: str | None
     outcome: Outcome
     search: bool = False
-    source: Source = Source.PROVED
+    source: Source = Source.DECIDED
     passed: bool = False
     exit_code: int = 0
     objections: tuple[str, ...] = ()

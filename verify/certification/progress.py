@@ -150,7 +150,7 @@ class Table(Watch):
 
 def remaining_seconds(rows: Sequence[Row], total: int, workers: int) -> float | None:
     """Guess of the time that is left: what the rows that were decided in this run took, for those that are not."""
-    taken = [row.timings.get("total", 0.0) for row in rows if row.source is Source.PROVED]
+    taken = [row.timings.get("total", 0.0) for row in rows if row.source is Source.DECIDED]
     if not taken:
         return None
     return sum(taken) / len(taken) * (total - len(rows)) / workers

@@ -4,13 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-from ...specs.errors import InputError
 from ...specs.exact import decimal_text
-from ..checker.certificate_file import read_certificate
-from ..checker.contract import read_contract
-from ..checker.recheck import recheck
 from ..deadline import Deadline
 from ..parts import Cut, cut_like, joined
 from ..radius import SPLITS, search_radius
@@ -72,34 +67,6 @@ def join(work: tuple[Question, Hard, Sequence[Result]]) -> Figures:
     question, hard, results = work
     with question.files():
         return figures_of(joined(hard.whole, hard.cut, results, Deadline.after(question.timeout)))
-
-
-def look_again(work: tuple[Question, bytes, tuple[tuple[str, float | None], ...]]) -> str:
-    """Check old evidence again: "" where it still proves what is reported, else why not.
-
-    The last part of the work is what is reported: every requirement's margin.
-    """
-    question, evidence, margins = work
-    deadline = Deadline.after(question.timeout)
-    asked = question.inputs.files[question.inputs.specification]
-    with question.files() as (_, specification):
-        folder = Path(specification).parent
-        try:
-            answer = recheck(evidence, question.policy, asked, folder, workers=1, stop=lambda: deadline.expired)
-            radius = read_contract(asked, folder).radius
-        except InputError as error:
-            return f"the evidence is damaged: {error.message}"
-    if not answer.accepted:
-        return answer.sentence
-    if answer.data["evidence"] == "certificate":
-        proved = {entry["name"]: entry["margin"] for entry in answer.data["requirements"]}
-        # positive polarity: every margin that is reported is there, and is proved
-        if not all(margin is not None and name in proved and proved[name] >= margin for name, margin in margins):
-            return "the certificate proves smaller margins than were reported"
-        radius = read_certificate(evidence).header.observation_radius or radius
-        if not (question.epsilon is None or max(radius) == question.epsilon):
-            return "the certificate is about another perturbation radius"
-    return ""
 
 
 def _search(question: Question, policy: str, specification: str) -> Figures:

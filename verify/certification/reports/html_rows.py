@@ -100,7 +100,7 @@ def _why(why: Why | None) -> Markup | None:
     facts = [
         ("requirement", why.requirement),
         ("at", phrases.when(why.time)),
-        ("growth", why.source),
+        ("growth", why.source if why.kind == "proof" else ""),
         ("proved until", phrases.when(why.verified_until) if why.verified_until > 0.0 else ""),
         ("proved part", f"{min(100.0 * why.verified_part, 99.99):.4g} %" if why.verified_part > 0.0 else ""),
         ("try", why.remedy),

@@ -115,7 +115,8 @@ def _details(row: Row) -> str:
     if row.objections:
         facts.append(("gate", "; ".join(row.objections)))
     if row.why is not None:
-        facts += [("requirement", row.why.requirement), ("growth", row.why.source), ("try", row.why.remedy)]
+        growth = row.why.source if row.why.kind == "proof" else ""
+        facts += [("requirement", row.why.requirement), ("growth", growth), ("try", row.why.remedy)]
     if row.evidence is not None:
         facts.append((row.evidence.kind, f"{row.evidence.path}, {row.evidence.detail}"))
     lines += [f"- {label}: {sentence(fact)}" for label, fact in facts if fact]
