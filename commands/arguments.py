@@ -23,6 +23,14 @@ class Method(StrEnum):
     linearization = "linearization"
 
 
+class Enclosure(StrEnum):
+    """Policy enclosures."""
+
+    zonotope = "zonotope"
+    crown = "crown"
+    best = "best"
+
+
 PolicyArgument = Annotated[Path | None, typer.Argument(metavar="[POLICY]", help="ONNX file.", show_default=False)]
 SpecOption = Annotated[
     str | None,
@@ -35,6 +43,7 @@ TimeoutOption = Annotated[
 ]
 SplitsOption = Annotated[int | None, typer.Option(metavar="N", help="Most cells of the initial set; 1: no splitting.")]
 MethodOption = Annotated[Method | None, typer.Option(help="Flow enclosure; default jets.")]
+EnclosureOption = Annotated[Enclosure | None, typer.Option(help="Policy enclosure; default zonotope.")]
 OrderOption = Annotated[
     int | None, typer.Option("--taylor-order", metavar="K", help="Time order of the flow enclosure.")
 ]
@@ -70,6 +79,7 @@ def read_options(
     method: Method | None,
     taylor_order: int | None,
     generators: int | None,
+    enclosure: Enclosure | None = None,
 ) -> Options:
     """Numerical options as given; a wrong one is told by its flag."""
     from ..specs.errors import UsageError
@@ -79,6 +89,7 @@ def read_options(
         "--timeout": ("timeout", timeout),
         "--splits": ("splits", splits),
         "--method": ("method", None if method is None else method.value),
+        "--enclosure": ("enclosure", None if enclosure is None else enclosure.value),
         "--taylor-order": ("taylor_order", taylor_order),
         "--generators": ("generators", generators),
     }

@@ -9,6 +9,7 @@ import typer
 
 from .arguments import (
     CertificateOption,
+    EnclosureOption,
     GeneratorsOption,
     JsonOption,
     MethodOption,
@@ -49,6 +50,7 @@ def radius(
         int | None, typer.Option(metavar="N", help="Most cells of the initial set at every radius; default 128.")
     ] = None,
     method: MethodOption = None,
+    enclosure: EnclosureOption = None,
     taylor_order: OrderOption = None,
     generators: GeneratorsOption = None,
     quiet: QuietOption = False,
@@ -59,7 +61,7 @@ def radius(
     """
     from ..verify.radius import MOST, RESOLUTION, SPLITS, search_radius
 
-    options = read_options(timeout, SPLITS if splits is None else splits, method, taylor_order, generators)
+    options = read_options(timeout, SPLITS if splits is None else splits, method, taylor_order, generators, enclosure)
     finest = read_radius(resolution, "--resolution")
     begin, end = read_radius(least, "--least"), read_radius(most, "--most")
     require_workers(workers)

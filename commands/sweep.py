@@ -8,6 +8,7 @@ import typer
 
 from .arguments import (
     CsvOption,
+    EnclosureOption,
     GeneratorsOption,
     JsonOption,
     MethodOption,
@@ -39,6 +40,7 @@ def sweep(
     timeout: TimeoutOption = None,
     splits: SplitsOption = None,
     method: MethodOption = None,
+    enclosure: EnclosureOption = None,
     taylor_order: OrderOption = None,
     generators: GeneratorsOption = None,
     quiet: QuietOption = False,
@@ -48,7 +50,7 @@ def sweep(
     The exit code is that of the worst radius.
     """
     radii = read_radii(epsilon)
-    options = read_options(timeout, splits, method, taylor_order, generators)
+    options = read_options(timeout, splits, method, taylor_order, generators, enclosure)
     require_outputs(plot=plot, csv=csv)
     network, specification = read_inputs(policy, spec, quiet)
     from ..verify import tables

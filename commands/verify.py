@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .arguments import (
     CertificateOption,
+    EnclosureOption,
     EpsilonOption,
     GeneratorsOption,
     JsonOption,
@@ -42,6 +43,7 @@ def verify_command(
     epsilon: EpsilonOption = None,
     splits: SplitsOption = None,
     method: MethodOption = None,
+    enclosure: EnclosureOption = None,
     taylor_order: OrderOption = None,
     generators: GeneratorsOption = None,
     quiet: QuietOption = False,
@@ -50,7 +52,7 @@ def verify_command(
 
     VERIFIED means that the checker accepted the certificate. Without arguments, verify the shipped example.
     """
-    options = read_options(timeout, splits, method, taylor_order, generators)
+    options = read_options(timeout, splits, method, taylor_order, generators, enclosure)
     radius = read_radius(epsilon)
     require_workers(workers)
     require_outputs(plot=plot, witness=witness, certificate=certificate)

@@ -40,10 +40,10 @@ class _Trial:
     ----------
     score : array, shape (B,)
     unit : array, shape (B, m)
-        Widths of the output's interval.
+        What the score is measured in.
     slopes : tuple of Slopes
     moves : tuple of Slopes
-        The sensible interval's length, in the direction in which the score falls.
+        The sensible interval's length, in the direction in which the score falls; nothing for the last trial.
     """
 
     score: Array
@@ -63,7 +63,7 @@ def searched_slopes(
     inputs : Zonotope, shape (B, n)
     objective : {"width", "gap"}
         What is to be small: the interval of the output, or the largest distance between its two linear bounds; the
-        sum over the outputs, each in units of its own interval.
+        sum over the outputs, each in units of what the usual lines leave.
     steps : sequence of float
         Lengths of the moves.
 
@@ -75,12 +75,13 @@ def searched_slopes(
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         usual_ = _trial(layers, inputs, usual, objective, None)
         best = _better(usual_, _trial(layers, inputs, _parallel, objective, usual_.unit))
-        for step in steps:
+        for number, step in enumerate(steps):
             slopes = tuple(
                 (below + step * up, above + step * down)
                 for (below, above), (up, down) in zip(best.slopes, best.moves, strict=True)
             )
-            best = _better(best, _trial(layers, inputs, chosen(slopes), objective, usual_.unit))
+            last = number + 1 == len(steps)
+            best = _better(best, _trial(layers, inputs, chosen(slopes), objective, usual_.unit, last))
     return best.slopes
 
 
@@ -102,7 +103,12 @@ def _parallel(position: int, activation: Activation, low: Array, high: Array) ->
 
 
 def _trial(
-    layers: Sequence[Layer], inputs: Zonotope, choose: Choice, objective: Objective, unit: Array | None
+    layers: Sequence[Layer],
+    inputs: Zonotope,
+    choose: Choice,
+    objective: Objective,
+    unit: Array | None,
+    last: bool = False,
 ) -> _Trial:
     chain, bounds, lines = follow(layers, inputs, choose)
     entries: list[Array] = []
@@ -117,6 +123,10 @@ def _trial(
     sizes = ends[:, : chain.size] + ends[:, chain.size :]
     unit = sizes if unit is None else unit
     share = 1.0 / np.where(unit > 0.0, unit, 1.0)
+    slopes = tuple((line.lower_slope, line.upper_slope) for line in lines)
+    score = (sizes * share).sum(1)
+    if last:
+        return _Trial(score, unit, slopes, ())
     activations = [layer for layer in layers if isinstance(layer, Activation)]
     ranges = [seen for layer, seen in zip(layers, bounds, strict=True) if isinstance(layer, Activation)]
     moves = []
@@ -128,8 +138,7 @@ def _trial(
         activation, seen = next(waiting)
         moves.append(_moves(activation, link.layer, seen, entry * np.tile(share, 2)[:, :, None], place))
         place = _through(link.layer, entry, place)
-    slopes = tuple((line.lower_slope, line.upper_slope) for line in lines)
-    return _Trial((sizes * share).sum(1), unit, slopes, tuple(moves))
+    return _Trial(score, unit, slopes, tuple(moves))
 
 
 def _through(lines: Lines, entry: Array, place: Array) -> Array:
@@ -160,8 +169,9 @@ def _better(first: _Trial, second: _Trial) -> _Trial:
     def merged(old: Array, new: Array) -> Array:
         return np.where(better if new.ndim == 1 else better[:, None], new, old)
 
-    slopes, moves = (
-        tuple((merged(a, c), merged(b, d)) for (a, b), (c, d) in zip(old, new, strict=True))
-        for old, new in ((first.slopes, second.slopes), (first.moves, second.moves))
-    )
-    return _Trial(merged(first.score, second.score), merged(first.unit, second.unit), slopes, moves)
+    def chosen_of(old: tuple[Slopes, ...], new: tuple[Slopes, ...]) -> tuple[Slopes, ...]:
+        return tuple((merged(a, c), merged(b, d)) for (a, b), (c, d) in zip(old, new, strict=True))
+
+    slopes = chosen_of(first.slopes, second.slopes)
+    moves = chosen_of(first.moves, second.moves) if second.moves else ()
+    return _Trial(merged(first.score, second.score), first.unit, slopes, moves)
