@@ -19,6 +19,7 @@ from . import __version__
 from .commands import (
     certify,
     check,
+    crosscheck,
     doctor,
     evaluate,
     export,
@@ -45,6 +46,7 @@ COMMANDS: tuple[tuple[Callable[..., int], str, str | None], ...] = (
     (train.train, "train", "Train policies that verify."),
     (evaluate.evaluate, "evaluate", "What trained policies are worth: V(s0), attacks, certified radius."),
     (export.export, "export", "Write a proof's claims as ONNX and VNN-LIB, for other verifiers."),
+    (crosscheck.crosscheck, "crosscheck", "Ask verifiers that others wrote about the same claims."),
     (init.init, "init", "Print a commented specification to fill in."),
     (inspect.inspect, "inspect", "List what is in a policy and what is not supported."),
     (doctor.doctor, "doctor", "Test this machine and print versions."),
