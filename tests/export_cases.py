@@ -73,9 +73,9 @@ def observations(network: PeriodNetwork, points: Any) -> Any:
     return np.array(network.center) + points @ rows
 
 
-def satisfied(query: Query, inputs: Sequence[float], outputs: Sequence[float]) -> bool:
+def satisfied(query: Query, inputs: Sequence[Any], outputs: Sequence[Any]) -> bool:
     """Whether a point is a violation, exactly."""
-    x, y = ([Fraction(float(value)) for value in group] for group in (inputs, outputs))
+    x, y = ([Fraction(value) for value in group] for group in (inputs, outputs))
     assert np.prod(query.inputs) == len(x) and np.prod(query.outputs) == len(y)
     for one in query.cases:
         inside = all(b.lower <= v <= b.upper for b, v in zip(one.box, x, strict=True))

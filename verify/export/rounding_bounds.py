@@ -8,6 +8,7 @@ from typing import Any
 
 from flint import arb
 
+from ..checker import ranges
 from ..checker.program import ball
 from .exact import rounded
 
@@ -42,21 +43,26 @@ class RoundingBounds:
 
     def multiply(self, left: Known, right: Known) -> Known:
         error = abs(left.value) * right.error + abs(right.written) * left.error
-        return Known(left.value * right.value, error)
+        # a square is not negative, whatever its ball's product with itself is
+        value = ranges.square(left.value) if left is right else left.value * right.value
+        return Known(value, error)
 
     def reciprocal(self, operand: Known) -> Known:
         # 1/a' - 1/a = (a - a')/(a a')
-        return Known(1 / operand.value, operand.error / abs(operand.value * operand.written))
+        error = operand.error * abs(ranges.reciprocal(operand.value) * ranges.reciprocal(operand.written))
+        return Known(ranges.reciprocal(operand.value), error)
 
     def function(self, name: str, operand: Known) -> Known:
         value, both = operand.value, operand.written
         match name:
-            case "sin" | "cos" | "tanh":
-                return Known(getattr(value, name)(), operand.error)
+            case "sin" | "cos":
+                return Known(ranges.sincos(value)[name == "cos"], operand.error)
+            case "tanh":
+                return Known(ranges.tanh(value), operand.error)
             case "exp":
-                return Known(value.exp(), both.exp() * operand.error)
+                return Known(ranges.exp(value), ranges.exp(both) * operand.error)
             case "log":
-                return Known(value.log(), operand.error / both)
+                return Known(ranges.log(value), ranges.reciprocal(both) * operand.error)
             case "sqrt":
-                return Known(value.sqrt(), operand.error / (2 * both.sqrt()))
+                return Known(ranges.sqrt(value), ranges.reciprocal(2 * ranges.sqrt(both)) * operand.error)
         raise AssertionError(f"unknown function {name}")

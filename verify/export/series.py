@@ -67,7 +67,7 @@ class Terms(Generic[Value]):
         if isinstance(left, Fraction) and isinstance(right, Fraction):
             return (left * right) or None
         for factor, other in ((left, right), (right, left)):
-            if factor == 1 and isinstance(factor, Fraction):
+            if isinstance(factor, Fraction) and factor == 1:
                 return other
         return self.arithmetic.multiply(self.value(left), self.value(right))
 
