@@ -70,6 +70,11 @@ def inside(x: float, bounds: Bounds, precision: str) -> Fraction:
     return bounds.lower
 
 
+def clamped(x: float, bounds: Bounds) -> Fraction:
+    """The number of an interval that is nearest to x, exactly."""
+    return min(max(Fraction(x), bounds.lower), bounds.upper) if math.isfinite(x) else bounds.lower
+
+
 def cast(x: Fraction, precision: str) -> float:
     """The number of a precision nearest to a rational, which is what the runtime is given."""
     value = np.asarray(float(x)).astype(precision)
@@ -95,10 +100,20 @@ def replay(policy: Policy, runner: Runner, question: Question, case: int, point:
     Counterexample or None
         None where neither arithmetic is known to violate.
     """
-    asked = question.cases[case]
+    bounds = question.cases[case].box
     with np.errstate(all="ignore"):
-        x = tuple(inside(float(v), bounds, policy.precision) for v, bounds in zip(point, asked.box, strict=True))
-        outputs = runner(np.array([[cast(value, policy.precision) for value in x]]))[0]
+        rounded = tuple(inside(float(v), ends, policy.precision) for v, ends in zip(point, bounds, strict=True))
+        # what violates only on a face of the box needs the face itself, which may be no float
+        exact = tuple(clamped(float(v), ends) for v, ends in zip(point, bounds, strict=True))
+        found = _tried(policy, runner, question, case, rounded)
+        return found if found is not None or exact == rounded else _tried(policy, runner, question, case, exact)
+
+
+def _tried(
+    policy: Policy, runner: Runner, question: Question, case: int, x: tuple[Fraction, ...]
+) -> Counterexample | None:
+    asked = question.cases[case]
+    outputs = runner(np.array([[cast(value, policy.precision) for value in x]]))[0]
     found = []
     if _violates_really(policy, question, case, x):
         found.append("real")
