@@ -23,15 +23,18 @@ from .arguments import (
     read_radius,
     require_whole,
     require_workers,
-    stop_after,
 )
+from .check import _content as content_of
 from .exit_codes import OK, UNKNOWN
-from .inputs import read_inputs
+from .inputs import first_bytes, read_inputs
 from .output import one_line, print_json, say, tell
 
 if TYPE_CHECKING:
+    from ..verify.deadline import Deadline
     from ..verify.export.sources import Source
     from ..verify.options import Options
+
+NOTHING = "nothing is exported: there is no proof"
 
 
 def export(
@@ -92,10 +95,7 @@ def export(
         raise UsageError("a folder is required", where="--out", remedy="say where the export goes: --out DIR")
     require_place(out)
     network, specification = read_inputs(policy, spec, quiet)
-    if certificate is None:
-        proved = _verified(network, specification, options, radius, workers, quiet)
-    else:
-        proved = _accepted(network, specification, certificate, workers, timeout, quiet)
+    proved = _proved(network, specification, certificate, options, radius, workers, quiet)
     if isinstance(proved, int):
         return proved
     source, sentence = proved
@@ -143,65 +143,79 @@ def _read_periods(text: str | None, closed_loop: bool) -> tuple[int, int | None]
     return begin, end
 
 
-def _verified(
-    network: str, specification: str, options: Options, radius: Any, workers: int | None, quiet: bool
+def _proved(
+    network: str,
+    specification: str,
+    certificate: Path | None,
+    options: Options,
+    radius: Any,
+    workers: int | None,
+    quiet: bool,
 ) -> tuple[Source, str] | int:
-    """A proof of this minute; where there is none, the exit code of the verdict that there is."""
-    from ..verify import report
-    from ..verify.evidence_files import evidence_files
-    from ..verify.export.sources import read_source
-    from ..verify.interruption import interruptible, progress_bar
-    from ..verify.result import Verdict
-    from ..verify.verifier import verify
-
-    with interruptible(options.timeout) as deadline, progress_bar(not quiet) as progress:
-        result = verify(
-            network,
-            specification,
-            options=options,
-            epsilon=radius,
-            deadline=deadline,
-            progress=progress,
-            workers=workers,
-        )
-    if result.verdict is not Verdict.VERIFIED or result.certificate is None:
-        say(report.verdict_line(result))
-        if not quiet:
-            tell("nothing is exported: there is no proof")
-        return result.verdict.exit_code
-    files = evidence_files(result.loop, None)
-    if isinstance(files, str):
-        raise AssertionError(f"a certificate without its files: {files}")
-    return read_source(result.certificate, files.policy, files.specification, files.folder), result.claim
-
-
-def _accepted(
-    network: str, specification: str, certificate: Path, workers: int | None, timeout: float | None, quiet: bool
-) -> tuple[Source, str] | int:
-    """A given proof, once the checker accepts it; else the exit code of what is not known."""
+    """A proof that the checker accepts, and its claim; where there is none, the exit code of what there is."""
     from ..specs.errors import InputError
     from ..specs.reader import find_specification
-    from ..verify.checker.recheck import MOST_BYTES, most_bytes, recheck
+    from ..verify.checker.recheck import MOST_BYTES, recheck
     from ..verify.export.sources import read_source
-    from ..verify.interruption import progress_bar
-    from .check import _content as content_of
-    from .inputs import first_bytes
+    from ..verify.interruption import interruptible, progress_bar
 
     place = find_specification(specification)
-    evidence = content_of(certificate, "certificate", most_bytes(first_bytes(certificate, 64)))
     asked = content_of(Path(network), "policy", MOST_BYTES["policy"])
     about = content_of(place, "specification", MOST_BYTES["specification"])
-    with progress_bar(not quiet) as progress:
+    evidence = None if certificate is None else _given(certificate)
+    with interruptible(options.timeout) as deadline, progress_bar(not quiet) as progress:
+        if evidence is None:
+            found = _claimed(network, specification, options, radius, deadline, progress)
+            if isinstance(found, int):
+                return found
+            evidence = found
+        report = None if progress is None else progress.checking
         try:
-            report = None if progress is None else progress.checking
             answer = recheck(
-                evidence, asked, about, place.parent, workers=workers, progress=report, stop=stop_after(timeout)
+                evidence,
+                asked,
+                about,
+                place.parent,
+                workers=workers,
+                progress=report,
+                stop=lambda: deadline.expired,
             )
         except InputError as error:
             raise error.at(str(certificate)) from error
-    if not answer.accepted or answer.data["evidence"] != "certificate":
-        say(f"{'NO PROOF' if answer.accepted else 'REJECTED'}: {one_line(answer.sentence)}")
-        if not quiet:
-            tell("nothing is exported: there is no proof")
-        return UNKNOWN
-    return read_source(evidence, asked, about, place.parent), answer.sentence
+    if answer.accepted:
+        return read_source(evidence, asked, about, place.parent), answer.sentence
+    say(f"REJECTED: {one_line(answer.sentence)}")
+    if not quiet:
+        tell(NOTHING)
+    return UNKNOWN
+
+
+def _given(certificate: Path) -> bytes:
+    """The bytes of a certificate."""
+    from ..specs.errors import InputError
+    from ..verify.checker.certificate_file import MAGIC
+    from ..verify.checker.recheck import most_bytes
+
+    start = first_bytes(certificate, 64)
+    content = content_of(certificate, "certificate", most_bytes(start))
+    if not content.startswith(MAGIC):
+        raise InputError("this is no certificate", where=str(certificate), remedy="give the file of a VERIFIED")
+    return content
+
+
+def _claimed(
+    network: str, specification: str, options: Options, radius: Any, deadline: Deadline, progress: Any
+) -> bytes | int:
+    """The certificate of a search; without one, the exit code of its verdict."""
+    from ..verify import report
+    from ..verify.verifier import verify
+
+    result = verify(
+        network, specification, options=options, epsilon=radius, deadline=deadline, progress=progress, check=False
+    )
+    if result.certificate is not None:
+        return result.certificate
+    say(report.verdict_line(result))
+    if progress is not None:
+        tell(NOTHING)
+    return result.verdict.exit_code
