@@ -113,10 +113,11 @@ def _derivative(activation: Activation, x: Array) -> Array:
 
 def chord(activation: Activation, low: Array, high: Array) -> Array:
     """Slope from end to end; 0 where the range is a point."""
-    return _ratio(activate(activation, high) - activate(activation, low), high - low)
+    return ratio(activate(activation, high) - activate(activation, low), high - low)
 
 
-def _ratio(rise: Array, run: Array) -> Array:
+def ratio(rise: Array, run: Array) -> Array:
+    """Rise over run; 0 where there is no run, or no number."""
     positive = run > 0.0
     slope = rise / np.where(positive, run, 1.0)
     return np.where(positive & np.isfinite(slope), slope, 0.0)
@@ -137,9 +138,9 @@ def _clip_slopes(activation: Activation, low: Array, high: Array) -> tuple[Array
     bottom, top = np.maximum(low, activation.lower), np.minimum(high, activation.upper)
     # with one bend only, the line on the bend's own side is the half with more of the range
     rises = (high - bottom > bottom - low) | (low >= activation.lower)
-    below = np.where(rises, _ratio(last - first, high - bottom), 0.0)
+    below = np.where(rises, ratio(last - first, high - bottom), 0.0)
     rises = (top - low > high - top) | (high <= activation.upper)
-    above = np.where(rises, _ratio(last - first, top - low), 0.0)
+    above = np.where(rises, ratio(last - first, top - low), 0.0)
     return below, above
 
 
@@ -169,11 +170,11 @@ def _tangent_slope(low: Array, high: Array) -> Array:
     the one where the line would touch x - x^3/3.
     """
     place, start = np.minimum(high, -0.5 * low), np.tanh(low)
-    slope = _ratio(np.tanh(place) - start, place - low)
+    slope = ratio(np.tanh(place) - start, place - low)
     for _ in range(4):
         root = np.sqrt(1.0 - np.clip(slope, 2.0**-50, 1.0))
         place = np.clip(np.arctanh(root), 0.0, np.maximum(high, 0.0))
-        slope = np.fmax(slope, _ratio(np.tanh(place) - start, place - low))
+        slope = np.fmax(slope, ratio(np.tanh(place) - start, place - low))
     return slope
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..models.policy import Activation, Affine, Layer
 from .backward import Choice, follow, usual
-from .backward_lines import Lines, chord, lines_with, sensible_slopes, usual_slopes
+from .backward_lines import Lines, chord, lines_with, ratio, sensible_slopes, usual_slopes
 from .network import LayerBounds
 from .relaxations import residual_bounds
 from .zonotope import Zonotope
@@ -150,14 +150,14 @@ def _through(lines: Lines, entry: Array, place: Array) -> Array:
 
 def _moves(activation: Activation, lines: Lines, seen: LayerBounds, entry: Array, place: Array) -> Slopes:
     """Steps of full length, uphill for lower functions with the given entries."""
-    slopes = np.stack([lines.lower_slope, lines.upper_slope])
-    before, after = (
-        residual_bounds(activation, slopes + change, seen.lower, seen.upper) for change in (-CHANGE, CHANGE)
-    )
     moves = []
-    for side, part in enumerate((np.maximum(entry, 0.0), np.minimum(entry, 0.0))):
-        rise = (after[side][side] - before[side][side]) / (2.0 * CHANGE)
-        low, high = sensible_slopes(activation, seen.lower, seen.upper)[side]
+    ends = sensible_slopes(activation, seen.lower, seen.upper)
+    sides = ((lines.lower_slope, np.maximum(entry, 0.0)), (lines.upper_slope, np.minimum(entry, 0.0)))
+    for side, ((slope, part), (low, high)) in enumerate(zip(sides, ends, strict=True)):
+        # differences towards the inside: at an end of the interval the offset may have a bend
+        pair = np.stack([np.maximum(slope - CHANGE, low), np.minimum(slope + CHANGE, high)])
+        offsets = residual_bounds(activation, pair, seen.lower, seen.upper)[side]
+        rise = ratio(offsets[1] - offsets[0], pair[1] - pair[0])
         moves.append(np.sign((part * (place + rise[:, None])).sum(1)) * (high - low))
     return moves[0], moves[1]
 
