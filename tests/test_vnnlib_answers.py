@@ -25,7 +25,9 @@ CLEAR = F(1, 10**5)
 
 
 def answer_of(known: Known, query: Query | None = None) -> Answer:
-    return decide(read_policy(known.content), query or known.query, splits=1000, deadline=Deadline.after(20))
+    # a hair's margin may stay undecided, and is not looked at for long
+    splits = 3000 if known.margin >= CLEAR else 200
+    return decide(read_policy(known.content), query or known.query, splits=splits, deadline=Deadline.after(60))
 
 
 def replayed(answer: Answer, content: bytes) -> bool:
@@ -62,7 +64,7 @@ def test_no_answer_is_wrong_and_clear_ones_are_given(family: str) -> None:
 
 
 def test_a_text_of_a_query_gets_the_answer_of_the_query() -> None:
-    for known in KNOWN[::19]:
+    for known in KNOWN[::25]:
         words = {
             answer_of(known, parse_vnnlib(text)).word
             for text in (vnnlib_1_text(known.query), vnnlib_2_text(known.query))

@@ -30,6 +30,7 @@ def plain(text: str) -> bool:
     return point == "." and whole.isdigit() and rest.isdigit() and text.isascii()
 
 
+@settings(max_examples=60, deadline=None)
 @given(NORMAL)
 def test_every_normal_float_is_written_exactly(x: float) -> None:
     for toward in (-1, 1):
@@ -37,6 +38,7 @@ def test_every_normal_float_is_written_exactly(x: float) -> None:
         assert plain(text) and float(text) == x and read_number(text) == F(x)
 
 
+@settings(max_examples=60, deadline=None)
 @given(st.floats(allow_nan=False, allow_infinity=False), RATIONAL, st.sampled_from([-1, 1]))
 def test_what_is_not_written_exactly_is_moved_in_the_given_direction(x: float, factor: Fraction, toward: int) -> None:
     value = F(x) * factor
@@ -91,7 +93,7 @@ def normal(constraint: LinearConstraint) -> LinearConstraint:
     return LinearConstraint(inputs, outputs, constraint.bound / scale)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(queries(exact=True))
 def test_a_query_of_floats_reads_back_as_it_was_written(query: Query) -> None:
     for text, shapes in (
@@ -106,7 +108,7 @@ def test_a_query_of_floats_reads_back_as_it_was_written(query: Query) -> None:
             assert [normal(k) for k in found.constraints] == [normal(k) for k in case.constraints]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(queries(exact=False))
 def test_a_text_asks_at_least_what_the_query_asks(query: Query) -> None:
     for text in (vnnlib_1_text(query), vnnlib_2_text(query)):
@@ -117,7 +119,7 @@ def test_a_text_asks_at_least_what_the_query_asks(query: Query) -> None:
                 assert wide.bound >= constraint.bound
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(queries(exact=False))
 def test_the_official_parser_reads_what_is_written_in_version_2(query: Query) -> None:
     read = vnnlib.parse_query_string(vnnlib_2_text(query, network="policy_1"))
