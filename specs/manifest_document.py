@@ -84,10 +84,15 @@ def _radii(value: object) -> tuple[Fraction, ...]:
     return radii
 
 
-def _method(value: object) -> str:
-    if value not in ("jets", "linearization"):
-        raise problem(f"expected 'jets' or 'linearization', found {found(value)}", "write one of the two")
-    return str(value)
+def _one_of(*words: str) -> PlainValidator:
+    shown = f"{', '.join(map(repr, words[:-1]))} or {words[-1]!r}"
+
+    def read(value: object) -> str:
+        if value not in words:
+            raise problem(f"expected {shown}, found {found(value)}", "write one of them")
+        return str(value)
+
+    return PlainValidator(read)
 
 
 _MEMORY = rf"[0-9]{{1,9}}(\.[0-9]{{1,6}})? ?({'|'.join(_UNITS)})"
@@ -125,7 +130,14 @@ Radii = Annotated[
     ),
 ]
 Method = Annotated[
-    Literal["jets", "linearization"], PlainValidator(_method), WithJsonSchema({"enum": ["jets", "linearization"]})
+    Literal["jets", "linearization"],
+    _one_of("jets", "linearization"),
+    WithJsonSchema({"enum": ["jets", "linearization"]}),
+]
+Enclosure = Annotated[
+    Literal["zonotope", "crown", "best"],
+    _one_of("zonotope", "crown", "best"),
+    WithJsonSchema({"enum": ["zonotope", "crown", "best"]}),
 ]
 Splits = Annotated[int, _count(1, 10**7), WithJsonSchema({"type": "integer", "minimum": 1, "maximum": 10**7})]
 Order = Annotated[int, _count(2, 30), WithJsonSchema({"type": "integer", "minimum": 2, "maximum": 30})]
@@ -147,6 +159,8 @@ class OptionsDocument(Document):
 
     method: Method | None = None
     """Flow enclosure."""
+    enclosure: Enclosure | None = None
+    """Policy enclosure."""
     taylor_order: Order | None = None
     """Time order of the flow enclosure."""
     generators: Generators | None = None

@@ -191,6 +191,7 @@ WRONG: dict[str, tuple[str, int, str]] = {
     "an order of one": (entry("options: {taylor_order: 1}"), 3, "from 2 to 30"),
     "no cells": (entry("options: {splits: 0}"), 3, "from 1 to 10000000"),
     "another method": (entry("options: {method: euler}"), 3, "linearization"),
+    "another enclosure": (entry("options: {enclosure: box}"), 3, "crown"),
     "options that are nothing": (entry("options: "), 3, "no value"),
     "a default that is wrong": (f"setrl: 1\ndefaults: {{timeout: 0}}\n{entry()[9:]}", 2, "defaults.timeout"),
     "defaults that are nothing": (f"setrl: 1\ndefaults:\n{entry()[9:]}", 2, "no value"),
