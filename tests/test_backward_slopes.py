@@ -65,7 +65,7 @@ def test_bounds_with_searched_slopes_enclose(kind: str) -> None:
 def test_the_smallest_move_of_any_one_slope_does_what_the_gradient_says(kind: str, objective: Any) -> None:
     """With one hidden layer, whose ranges do not depend on slopes; from slopes where the score has no bend."""
     layers = network([3, 8, 2], [kind, "none"], 5, 1.3).layers
-    z, generator = inputs_of(5, 1.0), np.random.default_rng(6)
+    z, generator = inputs_of(5, 1.0)[:3], np.random.default_rng(6)
     parts = generator.uniform(0.1, 0.9, size=(2, z.batch, 8))
 
     def anywhere(position: int, activation: Any, low: Array, high: Array) -> Lines:
@@ -84,7 +84,7 @@ def test_the_smallest_move_of_any_one_slope_does_what_the_gradient_says(kind: st
             changed = np.abs(slopes[side] - trial.slopes[0][side])[:, neuron] > 0.0
             count += changed.sum()
             worse += (changed & (after.score > trial.score + 1e-12)).sum()
-    assert count >= 4 and worse <= 0.1 * count
+    assert count >= 4 and not worse
 
 
 @pytest.mark.parametrize("kind", ["relu", "leaky_relu", "tanh"])

@@ -246,7 +246,7 @@ def test_one_true_period_from_any_claimed_set_ends_in_the_next(case: LoopCase) -
         Options(generators=60),
         Options(quadratic_rows=0),
     ]
-    + [Options(action_rows=1), Options(remainder_share=1e-4)]
+    + [Options(action_rows=1), Options(remainder_share=1e-4), Options(enclosure="crown"), Options(enclosure="best")]
     + ([Options(method="linearization")] if "linearization" in cases.METHODS else []),
     ids=repr,
 )
