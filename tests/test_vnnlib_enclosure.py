@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -15,6 +16,7 @@ from setrl.models.policy import Activation, Affine, Policy
 from setrl.specs.errors import InputError
 from setrl.specs.queries import Case, LinearConstraint
 from setrl.specs.specification import Bounds
+from setrl.verify.balls import Ball
 from setrl.verify.open_loop.enclosure import FormBounds, bound_forms
 from setrl.verify.open_loop.question import Question, questions_of
 from setrl.verify.open_loop.search import Cells, refuted
@@ -86,6 +88,54 @@ def test_bounds_on_points_are_tight_and_still_bounds() -> None:
             value = form(constraint, exact, y)
             assert F(float(bounds.lower[0, row])) <= value <= F(float(bounds.upper[0, row]))
             assert bounds.upper[0, row] - bounds.lower[0, row] < 1e-12
+
+
+def test_products_that_cancel_are_bounded() -> None:
+    """What is left of them is far below the rounding of the parts."""
+    for seed in range(40):
+        generator = np.random.default_rng([8, seed])
+        up = generator.uniform(1, 2, (2, 1))
+        down = (
+            np.array([[up[1, 0], -up[0, 0]]]) * generator.uniform(1, 2) * (1 + generator.uniform(-1, 1, (1, 2)) * 1e-16)
+        )
+        policy = Policy((Affine(up, np.zeros(2)), Affine(down, np.zeros(1))), 1, 1)
+        sign = F(1 if seed % 2 else -1)
+        x = np.ones((1, 1))
+        (question,) = questions_of(query_of(1, 1, [Case((Bounds(F(1), F(1)),), (at_most(F(0), [sign]),))]))
+        bounds = bound_forms(policy, question, x, x)
+        value = sign * rational(policy.layers, [F(1)])[0]
+        assert F(float(bounds.lower[0, 0])) <= value <= F(float(bounds.upper[0, 0]))
+
+
+def test_coefficients_are_within_their_balls() -> None:
+    generator = np.random.default_rng(9)
+    question = question_of(generator, 3, 2, 20)
+    for row, constraint in enumerate(dict.fromkeys(question.cases[0].constraints)):
+        for ball, terms in ((question.inputs, constraint.inputs), (question.outputs, constraint.outputs)):
+            entries = dict(terms)
+            for place, (mid, rad) in enumerate(zip(ball.mid[row], ball.rad[row], strict=True)):
+                assert abs(F(float(mid)) - entries.get(place, F(0))) <= F(float(rad)) < F(1, 2**40)
+        assert abs(F(float(question.bound.mid[row])) - constraint.bound) <= F(float(question.bound.rad[row]))
+
+
+@pytest.mark.parametrize("backward", [False, True])
+@pytest.mark.parametrize("part", ["inputs", "outputs", "bound"])
+def test_every_number_of_a_ball_of_coefficients_is_meant(part: str, backward: bool) -> None:
+    """Coefficients that are known to a tenth only: forms with any of them are bounded."""
+    for seed in range(10):
+        generator = np.random.default_rng([10, seed])
+        policy = network(generator, "float32")
+        question = question_of(generator, 3, 2, 3)
+        known: Ball = getattr(question, part)
+        rough = replace(question, **{part: Ball(known.mid, np.full_like(known.rad, 0.1))})
+        x = generator.uniform(-1, 1, (1, 3))
+        bounds = bound_forms(policy, rough, x, x, backward)
+        y = policy(x)
+        for sign in (-1.0, 1.0):
+            # the extreme coefficients for these values
+            spread = {"inputs": np.abs(x).sum(), "outputs": np.abs(y).sum(), "bound": 1.0}[part]
+            extreme = question.values(x, y)[0] + sign * (0.1 - 1e-9) * spread
+            assert (bounds.lower[0] <= extreme).all() and (extreme <= bounds.upper[0]).all()
 
 
 def test_the_runtime_has_room_for_its_rounding() -> None:
