@@ -21,6 +21,7 @@ from setrl.specs.reader import find_specification
 from setrl.verify.checker import layers as exact
 from setrl.verify.checker import obligations
 from setrl.verify.checker.certificate import Accepted, check
+from setrl.verify.checker.leaf import ActionClaim
 from setrl.verify.export.action_claims import RELATIVE, action_queries
 from setrl.verify.export.exact import DIGITS, at_least, decimal_above, decimal_below
 from setrl.verify.export.period_network import PRECISION, PeriodNetwork
@@ -34,21 +35,27 @@ SAMPLES = 10_000
 @pytest.mark.parametrize("number", NUMBERS)
 def test_the_sets_are_those_that_the_checker_proves(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     given, seen = case(number), []
-    genuine = obligations.check_action
+    genuine = obligations._unboxed
 
-    def spy(policy: Any, states: Any, claim: Any, what: str) -> None:
-        seen.append((tuple(states.center), [tuple(row) for row in states.rows], claim))
-        genuine(policy, states, claim, what)
+    def spy(tracked: Any) -> Any:
+        seen.append(genuine(tracked))
+        return seen[-1]
 
-    monkeypatch.setattr(obligations, "check_action", spy)
+    monkeypatch.setattr(obligations, "_unboxed", spy)
     assert isinstance(check(given.certificate, given.policy, given.specification, workers=1), Accepted)
     layout = source(number).layout
     leaves = [source(number).leaf(leaf) for leaf in range(len(source(number).boxes))]
     followed = [entry for leaf in leaves for entry in tracked_sets(layout, leaf)]
     assert len(seen) == len(followed) == layout.periods * len(leaves)
-    for (center, rows, claim), (start, period) in zip(seen, followed, strict=True):
-        assert center == tuple(start.center[: layout.states]) and claim == period
-        assert rows == [tuple(row[: layout.states]) for row in start.rows]
+    assert [period for _, period in followed] == [period for leaf in leaves for period in leaf.periods]
+    for proved, (start, _) in zip(seen, followed, strict=True):
+        assert tuple(proved.center) == tuple(start.center) and not any(start.radius)
+        assert [tuple(row) for row in proved.rows] == [tuple(row) for row in start.rows]
+
+
+def test_the_sets_above_include_queues_of_actions_and_constant_disturbances() -> None:
+    layouts = [source(number).layout for number in NUMBERS]
+    assert max(layout.delay for layout in layouts) > 1 and any(layout.constant for layout in layouts)
 
 
 @pytest.mark.parametrize("number", NUMBERS)
@@ -153,6 +160,12 @@ def test_a_bound_is_beyond_the_claim_by_what_rounding_can_do_and_hardly_more(num
             for asked in action_queries(network, form):
                 sign = 1 if asked.side == "upper" else -1
                 room = sign * (asked.bound - asked.claimed) - asked.rounding
+                (constraint,) = asked.query.cases[0].constraints
+                written = {index: sign * number for index, number in constraint.inputs}
+                kept = [i for i, factor in enumerate(network.factors) if form == RELATIVE and factor.kind == "tracked"]
+                exact_rows = {i: Fraction(network.action.rows[network.factors[i].position][asked.output]) for i in kept}
+                moved = sum((abs(written.get(i, Fraction(0)) - x) for i, x in exact_rows.items()), Fraction(0))
+                assert set(written) <= set(kept) and network.rounding[asked.output] + moved <= asked.rounding
                 assert 0 < room <= abs(asked.bound) * Fraction(10) ** (1 - DIGITS) + Fraction(10) ** (-DIGITS)
 
 
@@ -195,8 +208,36 @@ def test_factors_that_move_no_observation_are_no_inputs_and_every_other_one_is()
                 assert period.seen is not None
                 moving = [j for j, row in enumerate(period.seen.rows) if any(row)]
             assert tracked == moving
-            perturbed = [i for i, radius in enumerate(source(number).radius) if radius]
-            assert [f.position for f in network.factors if f.kind == "perturbation"] == perturbed
+            others: dict[str, Any] = {"perturbation": source(number).radius}
+            if observed is None:
+                assert period.seen is not None
+                others |= {"product": [any(row) for row in period.seen.fresh], "map": period.seen.radius}
+            for kind in ("perturbation", "product", "map"):
+                moving = [i for i, size in enumerate(others.get(kind, ())) if size]
+                assert [f.position for f in network.factors if f.kind == kind] == moving
+            for factor in network.factors:
+                if factor.kind in ("perturbation", "map"):
+                    length = others[factor.kind][factor.position]
+                    assert [x for x in factor.row if x] == [length] and factor.row[factor.position] == length
+
+
+def test_a_claimed_row_whose_factor_is_no_input_widens_the_relative_claim() -> None:
+    network = networks(7)[-1]
+    dropped, kept = network.factors[0], network.factors[1:]
+    assert dropped.kind == "tracked" and network.action.rows[dropped.position][0]
+    reach = abs(Fraction(network.action.rows[dropped.position][0]))
+    lower, upper, *_ = action_queries(network, RELATIVE)
+    wider_lower, wider_upper, *_ = action_queries(replace(network, factors=kept), RELATIVE)
+    assert wider_lower.claimed == lower.claimed - reach and wider_upper.claimed == upper.claimed + reach
+
+
+def test_a_claim_that_is_attained_is_no_violation() -> None:
+    """The bound of a query is beyond the claim even where that is a decimal and nothing is rounded."""
+    action = ActionClaim((0.5,), (), (), (), (0.25,))
+    network = replace(networks(3)[0], action=action, rounding=(Fraction(0),))
+    lower, upper = action_queries(network)
+    assert (lower.claimed, upper.claimed) == (Fraction(1, 4), Fraction(3, 4))
+    assert lower.bound < lower.claimed < upper.claimed < upper.bound
 
 
 @pytest.mark.parametrize(
