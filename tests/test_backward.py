@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -176,6 +177,26 @@ def test_another_program_computes_the_same_bounds_from_the_same_lines(kind: str,
         for (low, high), place in zip(other.ranges, kinds, strict=True):
             assert np.allclose(low, found.bounds[place].lower[cell], rtol=1e-9, atol=1e-9)
             assert np.allclose(high, found.bounds[place].upper[cell], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("part", ["weight", "bias"])
+def test_layers_whose_numbers_are_known_up_to_an_error_are_enclosed_for_all_of_them(kind: str, part: str) -> None:
+    generator = np.random.default_rng(7)
+    z = inputs_of(7, 1e-6)
+    known = layers_of(kind, 7)
+    errors = [{f"{part}_error": 0.01 * np.ones_like(getattr(x, part))} if isinstance(x, Affine) else {} for x in known]
+    layers = [replace(layer, **error) for layer, error in zip(known, errors, strict=True)]
+    found = backward_bounds(layers, z).output
+    for _ in range(50):
+        member = []
+        for layer in known:
+            if isinstance(layer, Affine):
+                moved = getattr(layer, part) + 0.01 * np.sign(generator.normal(size=getattr(layer, part).shape))
+                layer = replace(layer, **{part: moved})
+            member.append(layer)
+        values = forward(tuple(member), points_of(z, 20))
+        assert (found.lower[:, None] <= values).all() and (values <= found.upper[:, None]).all()
 
 
 def remembered(lines: tuple[Lines, ...]) -> Choice:
