@@ -12,7 +12,7 @@ from typing import Any
 import onnx
 import pytest
 import vnnlib
-from command_line import EXAMPLE, HOPELESS, QUICK, contents, run
+from command_line import EXAMPLE, QUICK, contents, run
 from export_cases import run as execute
 
 from setrl.specs.errors import InputError
@@ -53,7 +53,7 @@ def test_an_export_has_two_queries_per_action_and_period(place: Path, capsys: An
 
 @pytest.mark.parametrize("options", [(), ("--relative",), ("--closed-loop",), ("--closed-loop", "--map-order", "3")])
 def test_what_is_written_is_read_by_others(options: tuple[str, ...], place: Path, capsys: Any) -> None:
-    assert export(capsys, *options).code == 0
+    assert export(capsys, *options, "--periods", "2").code == 0
     for network in claims()["networks"]:
         content = (place / "queries" / network["onnx"]).read_bytes()
         assert hashlib.sha256(content).hexdigest() == network["sha256"]
@@ -96,12 +96,13 @@ def test_closed_loop_queries_ask_for_the_requirements(place: Path, capsys: Any) 
     assert "polynomial of order 2" in Path("queries", "README.md").read_text()
 
 
-@pytest.mark.parametrize(("given", "expected"), [("0:1", [0]), ("2:4", [2, 3]), ("3", [0, 1, 2]), ("4:99", [4])])
+@pytest.mark.parametrize(("given", "expected"), [("2:4", [2, 3]), ("1", [0]), ("4:99", [4])])
 def test_a_part_is_exported(given: str, expected: list[int], place: Path, capsys: Any) -> None:
     assert export(capsys, "--periods", given).code == 0
     assert [entry["period"] for entry in claims()["networks"]] == expected
 
 
+@pytest.mark.slow
 def test_leaves_are_exported_one_by_one(place: Path, capsys: Any) -> None:
     (place / "tight.yaml").write_text(QUICK.replace("[-1, 1]", "[-0.126, 0.126]"))
     everything = export(capsys, spec="tight.yaml")
@@ -123,9 +124,9 @@ def test_json_says_what_was_written(place: Path, capsys: Any) -> None:
 
 
 def test_without_a_proof_nothing_is_exported(place: Path, capsys: Any) -> None:
-    (place / "hopeless.yaml").write_text(HOPELESS)
+    (place / "hopeless.yaml").write_text(QUICK.replace("[-1, 1]", "[-0.05, 0.05]"))
     outcome = export(capsys, "--splits", "1", spec="hopeless.yaml")
-    assert outcome.code in (5, 10) and not outcome.out.startswith("VERIFIED")
+    assert outcome.code == 10 and outcome.out.startswith("FALSIFIED: ")
     assert not (place / "queries").exists()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import onnx
 import pytest
 from certificates import SUBJECTS, case_of
-from export_cases import NUMBERS, case, loop, run, satisfied, source
+from export_cases import ALL, NUMBERS, case, loop, run, satisfied, source
 from flint import arb, ctx
 
 from setrl.models.policy import forward
@@ -32,7 +32,7 @@ from setrl.verify.export.rounding_bounds import Known, RoundingBounds
 from setrl.verify.export.series import Terms, flow_series, map_values
 from setrl.verify.export.sources import Source, read_source
 
-RUNS = 12
+RUNS = 8
 SHARES = (0.15, 0.5, 0.8, 1.0)
 ORDER = 2
 LOOSE = 2e-10
@@ -137,7 +137,7 @@ def inside(bounds: Any, values: Any, slack: float) -> bool:
     return bool(((low - slack <= values) & (values <= high + slack)).all())
 
 
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("number", ALL)
 def test_every_trajectory_is_one_of_the_network_for_some_admissible_remainder(number: int) -> None:
     given = source(number)
     assert trajectories(number).observations.shape[2] == given.layout.observations
@@ -183,7 +183,7 @@ def inputs_of(number: int, row: int, ends: Any, during: Any, share: float) -> An
     return np.array(values)
 
 
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("number", ALL)
 def test_the_network_reproduces_trajectories(number: int) -> None:
     given, found = source(number), trajectories(number)
     network = whole(number)
@@ -236,7 +236,7 @@ def outputs_of(number: int, row: int) -> Any:
     return exact, np.concatenate(states).ravel()
 
 
-@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("number", ALL)
 def test_no_trajectory_of_a_verified_loop_is_a_violation(number: int) -> None:
     queries = list(asked(number, source(number)))
     assert {wanted.requirement for wanted, _ in queries} == set(range(len(source(number).contract.requirements)))
@@ -254,7 +254,7 @@ def with_region(given: Source, number: int, kind: str, member: Any) -> Source:
     return replace(given, setting=replace(given.setting, layout=layout))
 
 
-@pytest.mark.parametrize("number", [1, 7, 16, 22, 24, 29, 31])
+@pytest.mark.parametrize("number", [7, 22, 24, 29])
 def test_a_trajectory_that_violates_a_requirement_satisfies_its_query(number: int) -> None:
     """avoid what the trajectory is in, stay and reach where it is not."""
     given = source(number)
@@ -325,7 +325,7 @@ def _point_in(member: Any, size: int) -> list[float]:
 
 def test_windows_within_a_period_bound_the_share() -> None:
     found = 0
-    for number in NUMBERS:
+    for number in (*NUMBERS, 31):
         src = source(number)
         contract = src.contract
         for wanted in wanted_queries(src, contract.periods):
