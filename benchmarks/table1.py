@@ -2,10 +2,10 @@
 
     SETRL_NAV=FOLDER SETRL_VERIFIERS=FOLDER python benchmarks/table1.py --leaves 1
 
-FOLDER of SETRL_NAV has the two networks of the ARCH-COMP benchmark NAV, ``nn-nav-point.onnx`` (standard training) and
-``nn-nav-set.onnx`` (set-based training). Seconds are wall time of whole processes in one run. Verifiers of networks do not
-verify a closed loop; what they are asked are the certificate's claims about the network, four per period and part of the
-initial set. The published figures are other machines'.
+FOLDER of SETRL_NAV has the two networks of the ARCH-COMP benchmark NAV, ``nn-nav-point.onnx`` (standard training)
+and ``nn-nav-set.onnx`` (set-based training). Seconds are wall time of whole processes in one run. Verifiers of networks
+do not verify a closed loop; they are asked the certificate's claims about the network, four per period and part
+of the initial set. The published figures are other machines'.
 """
 
 from __future__ import annotations
