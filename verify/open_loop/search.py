@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -23,6 +24,8 @@ MEMORY = 1 << 22
 """Numbers in the largest array of a batch, approximately."""
 MOST_CELLS = 512
 """Of a batch."""
+MOST_WAITING = 1000
+"""Batches that wait before the search goes deep instead of wide."""
 REPLAYS = 6
 """Points of one descent, or of one batch, that are replayed."""
 SEED = 20240229
@@ -112,9 +115,9 @@ class Search:
         if found is not None or not self.question.rows.size:
             return Outcome(found, False, False)
         before = self.budget.used
-        stack, aside = [self.root()], list[Cells]()
-        while stack and self.may_continue:
-            cells = self.take(stack)
+        waiting, aside, whole = deque([self.root()]), deque[Cells](), True
+        while waiting and self.may_continue:
+            cells = self.take(waiting)
             bounds = self.bound(cells)
             cells = refuted(self.question, cells, bounds)
             open_cells = np.asarray(cells.real.any(1))
@@ -126,31 +129,26 @@ class Search:
             found = self.try_cells(cells, bounds, open_cells)
             if found is not None:
                 return Outcome(found, False, False)
-            children = self.split(cells, bounds, open_cells, cells.real)
-            if children is None:
-                return Outcome(None, False, False)
-            stack.append(children)
-        if stack:
+            # a cell that cannot be halved ends the proof, and not the search
+            whole &= self.split(cells, bounds, open_cells, cells.real, waiting)
+        if waiting or not whole:
             return Outcome(None, False, False)
         return Outcome(None, True, self.refine(aside, self.budget.used - before + self.batch))
 
-    def refine(self, stack: list[Cells], cells_left: int) -> bool:
+    def refine(self, waiting: deque[Cells], cells_left: int) -> bool:
         """Refute for the runtime too, with about the work that exact arithmetic took, and half of what is left.
 
         What the runtime may be off does not shrink with a cell, so a margin that is smaller ends in no proof.
         """
         least = max(self.budget.cells - cells_left, self.budget.cells // 2)
-        while stack and self.may_continue and self.budget.cells > least:
-            cells = self.take(stack)
+        while waiting and self.may_continue and self.budget.cells > least:
+            cells = self.take(waiting)
             bounds = self.bound(cells)
             cells = refuted(self.question, cells, bounds)
             still = np.asarray(cells.deployed.any(1))
-            if still.any():
-                children = self.split(cells, bounds, still, cells.deployed)
-                if children is None:
-                    return False
-                stack.append(children)
-        return not stack
+            if still.any() and not self.split(cells, bounds, still, cells.deployed, waiting):
+                return False
+        return not waiting
 
     @property
     def may_continue(self) -> bool:
@@ -162,12 +160,21 @@ class Search:
         every = np.ones((1, len(self.question.cases)), dtype=bool)
         return Cells(self.question.low[None], self.question.high[None], every, every)
 
-    def take(self, stack: list[Cells]) -> Cells:
-        """A batch from the top of the stack."""
-        cells = stack.pop()
+    def take(self, waiting: deque[Cells]) -> Cells:
+        """A batch: the largest cells, or where too many wait, the smallest."""
         count = min(self.batch, self.budget.cells)
+        pop = waiting.popleft if len(waiting) < MOST_WAITING else waiting.pop
+        parts = [pop()]
+        while waiting and sum(len(part.low) for part in parts) < count:
+            parts.append(pop())
+        cells = Cells(
+            np.concatenate([part.low for part in parts]),
+            np.concatenate([part.high for part in parts]),
+            np.concatenate([part.real for part in parts]),
+            np.concatenate([part.deployed for part in parts]),
+        )
         if len(cells.low) > count:
-            stack.append(cells[count:])
+            waiting.appendleft(cells[count:])
         return cells[:count]
 
     def bound(self, cells: Cells) -> FormBounds:
@@ -226,33 +233,43 @@ class Search:
         cases = per_case.argmin(1)
         return np.array([self.question.row_of(int(c), v) for c, v in zip(cases, lower, strict=True)], dtype=np.intp)
 
-    def split(self, cells: Cells, bounds: FormBounds, chosen: Flags, open_cases: Flags) -> Cells | None:
-        """Halve the chosen cells, each in the input with the widest effect; None where one has no middle."""
+    def split(self, cells: Cells, bounds: FormBounds, chosen: Flags, open_cases: Flags, waiting: deque[Cells]) -> bool:
+        """Halve the chosen cells, each in the input with the widest effect, and put the halves at the end.
+
+        Returns
+        -------
+        bool
+            Whether all of them have a middle.
+        """
         index = np.flatnonzero(chosen)
+        middle = 0.5 * cells.low[index] + 0.5 * cells.high[index]
+        possible = (cells.low[index] < middle) & (middle < cells.high[index])
+        divisible = np.asarray(possible.any(1))
+        index, middle, possible = index[divisible], middle[divisible], possible[divisible]
+        if not index.size:
+            return False
         rows = self.rows_of(bounds, index, open_cases)
         low, high = cells.low[index], cells.high[index]
-        middle = 0.5 * low + 0.5 * high
         share = self.influence[rows] * (high - low)
         total = share.sum(1, keepdims=True)
         share = np.divide(share, total, out=np.zeros_like(share), where=total > 0.0)
         effect = np.abs(bounds.generators[index, :, rows]) + share * bounds.rest[index, rows][:, None]
         # where nothing is known the widest input is cut
         effect = np.where(np.isfinite(effect).all(1, keepdims=True), effect, high - low)
-        possible = (low < middle) & (middle < high)
-        if not possible.any(1).all():
-            return None
         place = np.where(possible, effect, -1.0).argmax(1)
         each = np.arange(len(index))
         cut = middle[each, place]
         left_high, right_low = high.copy(), low.copy()
         left_high[each, place], right_low[each, place] = cut, cut
         parts = cells[index]
-        return Cells(
+        halves = Cells(
             np.concatenate([low, right_low]),
             np.concatenate([left_high, high]),
             np.concatenate([parts.real, parts.real]),
             np.concatenate([parts.deployed, parts.deployed]),
         )
+        waiting.append(halves)
+        return bool(divisible.all())
 
 
 def refuted(question: Question, cells: Cells, bounds: FormBounds) -> Cells:

@@ -1,0 +1,75 @@
+"""The search: every part of a box is looked at, and what is said of a query is proved of all of its questions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from vnnlib_queries import F, deep, linear, planar
+
+from setrl.models.onnx_reader import read_policy
+from setrl.specs.errors import InputError, UsageError
+from setrl.verify.deadline import Deadline
+from setrl.verify.open_loop import decide as decisions
+from setrl.verify.open_loop import search
+from setrl.verify.open_loop.decide import decide
+from setrl.verify.open_loop.search import Outcome
+
+SATISFIABLE = [planar(seed, F(1, 1000)) for seed in range(4)] + [linear(seed, F(1, 1000)) for seed in range(3)]
+
+
+@pytest.mark.parametrize("cells", [1, 3, 512])
+def test_no_part_of_a_box_is_forgotten(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where nobody looks for counterexamples, cells that violate stay open for ever."""
+    monkeypatch.setattr(search, "MOST_CELLS", cells)
+    monkeypatch.setattr(search.Search, "attack", lambda self: None)
+    monkeypatch.setattr(search.Search, "try_cells", lambda self, *_: None)
+    for known in SATISFIABLE:
+        answer = decide(read_policy(known.content), known.query, splits=120)
+        assert answer.word == "unknown" and 120 - cells < answer.cells <= 120
+
+
+def test_the_size_of_batches_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    queries = [planar(seed, F(-1, 1000)) for seed in range(3)] + [deep(0, False)]
+    monkeypatch.setattr(search, "MOST_CELLS", 2)
+    for known in queries:
+        assert decide(read_policy(known.content), known.query, splits=3000).word == "unsat"
+
+
+REFUTED, REALLY, OPEN = Outcome(None, True, True), Outcome(None, True, False), Outcome(None, False, False)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "word", "semantics"),
+    [
+        ((REFUTED, REFUTED), "unsat", ("real", "float32")),
+        ((REFUTED, REALLY), "unsat", ("real",)),
+        ((REALLY, REFUTED), "unsat", ("real",)),
+        ((REFUTED, OPEN), "unknown", ()),
+        ((OPEN, REFUTED), "unknown", ()),
+        ((REALLY, OPEN), "unknown", ()),
+    ],
+)
+def test_only_what_is_proved_of_every_question_is_said_of_the_query(
+    outcomes: Any, word: str, semantics: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decisions, "search_all", lambda *_: iter(outcomes))
+    known = deep(0, False)
+    answer = decide(read_policy(known.content), known.query)
+    assert (answer.word, answer.semantics) == (word, semantics)
+
+
+@pytest.mark.parametrize(("interrupted", "word"), [(False, "timeout"), (True, "unknown")])
+def test_a_search_that_is_stopped_says_why(interrupted: bool, word: str) -> None:
+    known = planar(0, F(-1, 1000))
+    deadline = Deadline(None, interrupted=True) if interrupted else Deadline.after(0.0)
+    answer = decide(read_policy(known.content), known.query, deadline=deadline)
+    assert (answer.word, answer.semantics, answer.cells) == (word, (), 0)
+
+
+def test_wrong_arguments_are_errors() -> None:
+    known, other = deep(0, False), planar(0, F(1))
+    with pytest.raises(UsageError):
+        decide(read_policy(known.content), known.query, splits=0)
+    with pytest.raises(InputError, match="a network with 2 inputs, this one has 3"):
+        decide(read_policy(known.content), other.query)
