@@ -96,6 +96,15 @@ def test_closed_loop_queries_ask_for_the_requirements(place: Path, capsys: Any) 
     assert "polynomial of order 2" in Path("queries", "README.md").read_text()
 
 
+def test_a_loop_that_ends_before_every_requirement_is_not_exported(place: Path, capsys: Any) -> None:
+    (place / "late.yaml").write_text(QUICK.replace("name: altitude", "at: 0.5"))
+    outcome = export(capsys, "--closed-loop", "--periods", "4", spec="late.yaml")
+    assert outcome.code == 2 and "no requirement is decided within 4 periods" in outcome.err
+    assert [path.name for path in place.iterdir()].count("queries") == 0
+    assert export(capsys, "--closed-loop", spec="late.yaml").code == 0
+    assert [entry["query"] for entry in claims()["queries"]] == ["leaf0-at05-requirement0"]
+
+
 @pytest.mark.parametrize(("given", "expected"), [("2:4", [2, 3]), ("1", [0]), ("4:99", [4])])
 def test_a_part_is_exported(given: str, expected: list[int], place: Path, capsys: Any) -> None:
     assert export(capsys, "--periods", given).code == 0

@@ -30,7 +30,7 @@ from setrl.verify.export.loop_network import Loop, LoopNetwork, loop_network
 from setrl.verify.export.requirement_queries import violation, wanted_queries
 from setrl.verify.export.rounding_bounds import Known, RoundingBounds
 from setrl.verify.export.series import Terms, flow_series, map_values
-from setrl.verify.export.sources import Source, read_source
+from setrl.verify.export.sources import Source
 
 RUNS = 8
 SHARES = (0.15, 0.5, 0.8, 1.0)
@@ -289,55 +289,68 @@ def test_a_trajectory_that_violates_a_requirement_satisfies_its_query(number: in
                 assert satisfied(query, inputs, outputs) == expected, (kind, region)
 
 
-def test_a_reach_is_violated_only_by_missing_the_region_at_every_instant() -> None:
-    number = next(n for n in range(60) if b"reach-union-part" in case_of(n).specification)
-    given = read_source(case_of(number).certificate, case_of(number).policy, case_of(number).specification)
-    (wanted,) = [
-        w
-        for w in wanted_queries(given, given.layout.periods)
-        if given.contract.requirements[w.requirement].kind == "reach"
+def test_a_reach_is_violated_only_by_missing_all_of_the_region_at_every_instant() -> None:
+    number, given = 22, source(22)
+
+    def side(low: int, high: int, state: int = 0) -> list[Facet]:
+        unit = tuple(Fraction(int(i == state)) for i in range(2))
+        return [Facet(tuple(-c for c in unit), Fraction(-low)), Facet(unit, Fraction(high))]
+
+    region = (tuple(side(0, 1)), (*side(5, 6), *side(0, 2, state=1)))
+    points = {(0.5, 9.0): True, (5.5, 1.0): True, (5.5, 3.0): False, (3.0, 1.0): False, (-2.0, 1.0): False}
+    changed = with_region(given, 0, "reach", region)
+    condition = replace(
+        changed.layout.conditions[0],
+        by_points=True,
+        requirement=replace(
+            changed.layout.conditions[0].requirement, start=given.layout.period, end=3 * given.layout.period
+        ),
+    )
+    layout = replace(changed.layout, conditions=(condition,))
+    changed = replace(changed, setting=replace(changed.setting, layout=layout))
+    (wanted,) = wanted_queries(changed, 3)
+    assert wanted.outputs == (("at", 1), ("at", 2), ("at", 3)) and not list(wanted_queries(changed, 2))
+    query = violation(changed, wanted, whole(number))
+    inputs = [(entry.bounds.lower + entry.bounds.upper) / 2 for entry in whole(number).inputs]
+    places = [whole(number).outputs.index(output) for output in wanted.outputs]
+    for chosen in itertools.product(points, repeat=3):
+        outputs = np.full((len(whole(number).outputs), 2), 0.5)
+        outputs[places] = chosen
+        assert satisfied(query, inputs, outputs.ravel()) == (not any(points[point] for point in chosen)), chosen
+
+
+def with_window(given: Source, start: Fraction, end: Fraction) -> Source:
+    """The first requirement alone, for all times between two, in periods."""
+    condition = given.layout.conditions[0]
+    period = given.layout.period
+    requirement = replace(condition.requirement, kind="stay", start=start * period, end=end * period)
+    layout = replace(given.layout, conditions=(replace(condition, by_points=False, requirement=requirement),))
+    return replace(given, setting=replace(given.setting, layout=layout))
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [
+        ("0.3", "2.6", [(0, "0.3", "1"), (1, "0", "1"), (2, "0", "0.6")]),
+        ("1", "2", [(1, "0", "1")]),
+        ("1.5", "1.5", [(1, "0.5", "0.5")]),
+        ("0", "0.2", [(0, "0", "0.2")]),
+        ("2", "9", [(2, "0", "1")]),
+    ],
+)
+def test_a_window_bounds_the_times_of_its_periods(start: str, end: str, expected: Any) -> None:
+    """Three periods; what only touches a period is a time of its neighbour."""
+    given = with_window(source(22), Fraction(start), Fraction(end))
+    found = list(wanted_queries(given, 3))
+    assert [(w.outputs, w.share.lower, w.share.upper) for w in found] == [
+        ((("during", k),), Fraction(low), Fraction(high)) for k, low, high in expected
     ]
-    requirement = given.contract.requirements[wanted.requirement]
-    instants = [k for k in range(given.layout.periods + 1) if requirement.start <= k * given.layout.period]
-    assert wanted.outputs == tuple(("at", k) for k in instants if k * given.layout.period <= requirement.end)
-    network = loop_network(Loop.of(given, 0, given.layout.periods, ORDER), wanted.outputs)
-    query = violation(given, wanted, network)
-    inputs = [(entry.bounds.lower + entry.bounds.upper) / 2 for entry in network.inputs]
-    high = 1e6
-    size = given.layout.states
-    hit = _point_in(requirement.region[-1], size)
-    for chosen in itertools.product([True, False], repeat=len(wanted.outputs)):
-        outputs = [x for is_hit in chosen for x in (hit if is_hit else [high] * size)]
-        assert satisfied(query, inputs, outputs) == (not any(chosen)), chosen
-
-
-def _point_in(member: Any, size: int) -> list[float]:
-    """A point inside a box of sides that may be open."""
-    point = []
-    for i in range(size):
-        highs = [f.bound / f.coefficients[i] for f in member if f.coefficients[i] > 0]
-        lows = [f.bound / f.coefficients[i] for f in member if f.coefficients[i] < 0]
-        low, high = max(lows, default=None), min(highs, default=None)
-        middle = (low + high) / 2 if low is not None and high is not None else (low or high or 0)
-        point.append(float(middle))
-    return point
-
-
-def test_windows_within_a_period_bound_the_share() -> None:
-    found = 0
-    for number in (*NUMBERS, 31):
-        src = source(number)
-        contract = src.contract
-        for wanted in wanted_queries(src, contract.periods):
-            ((kind, k), *_) = wanted.outputs
-            if kind != "during":
-                continue
-            window = contract.requirements[wanted.requirement]
-            low, high = ((k + share) * contract.period for share in (wanted.share.lower, wanted.share.upper))
-            assert low == max(window.start, k * contract.period)
-            assert high == min(window.end, (k + 1) * contract.period)
-            found += (wanted.share.lower, wanted.share.upper) != (0, 1)
-    assert found > 0
+    for wanted in found:
+        ((_, number),) = wanted.outputs
+        for one in violation(given, wanted, whole(22)).cases:
+            for bounds, entry in zip(one.box, whole(22).inputs, strict=True):
+                chosen = entry.kind == "share" and entry.period == number
+                assert bounds == (wanted.share if chosen else entry.bounds)
 
 
 def test_a_violation_with_too_many_cases_is_refused() -> None:

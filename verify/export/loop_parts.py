@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from ...specs.errors import InputError
 from ...specs.exact import signed_text
 from .folder import Asked, Part
 from .loop_network import Loop, LoopNetwork, Output, loop_network
@@ -28,10 +29,20 @@ def loop_parts(source: Source, leaves: Iterable[int], periods: int, order: int) 
     ------
     Part
         ``leaf0-during05`` unrolls six periods and has queries such as ``leaf0-during05-requirement0``.
+
+    Raises
+    ------
+    InputError
+        Nothing is asked for in these periods, or what a polynomial leaves out has no bound.
     """
     groups: dict[tuple[Output, ...], list[Wanted]] = {}
     for wanted in wanted_queries(source, periods):
         groups.setdefault(wanted.outputs, []).append(wanted)
+    if not groups:
+        raise InputError(
+            f"no requirement is decided within {periods} periods",
+            remedy="unroll more of them, or export the periods without --closed-loop",
+        )
     for leaf in leaves:
         loop = Loop.of(source, leaf, periods, order)
         for outputs, group in groups.items():
