@@ -134,6 +134,25 @@ def test_exact_outputs_are_between_the_linear_bounds_without_any_tolerance(kind:
                         assert side * (a + arb(b)) <= side * value
 
 
+def test_products_of_layers_that_cancel_are_enclosed_without_any_tolerance() -> None:
+    """What float64 leaves out of the product of two layers is all that there is."""
+    generator, point = np.random.default_rng(8), np.array([[997.0]])
+    relu, zero = Activation("relu"), np.zeros(60)
+    for _ in range(20):
+        inner, outer = generator.uniform(1, 2, size=(60, 1)), generator.normal(size=(1, 60))
+        outer[0, -1] = -(outer[0, :-1] @ inner[:-1, 0]) / inner[-1, 0]
+        layers = (Affine(np.eye(1), zero[:1]), relu, Affine(inner, zero), relu, Affine(outer, zero[:1]))
+        found = backward_bounds(layers, from_box(point, point))
+        with ctx.workprec(300):
+            (exact,) = real_forward(layers, point[0])
+            for matrix, offset, side in (
+                (found.lower_matrix, found.lower_offset, 1),
+                (found.upper_matrix, found.upper_offset, -1),
+            ):
+                bound = arb(float(matrix[0, 0, 0])) * arb(997) + arb(float(offset[0, 0]))
+                assert side * bound <= side * exact
+
+
 @pytest.mark.parametrize(("kind", "size"), CASES, ids=str)
 def test_the_checker_proves_the_lines_and_finds_its_ranges_within(kind: str, size: float) -> None:
     for seed, scale in product(range(3), (1.3, 1e3)):

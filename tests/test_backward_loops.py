@@ -15,11 +15,12 @@ from test_teeth import wrapped
 
 from setrl.specs.errors import UsageError
 from setrl.verify import action_sets, backward_action, backward_slopes
-from setrl.verify.action_sets import PARALLEL, TWO_LINES
+from setrl.verify.action_sets import PARALLEL, TWO_LINES, ActionSet, better_set
 from setrl.verify.checker.certificate import Accepted, check
 from setrl.verify.closed_loop import Engine, Period
 from setrl.verify.options import Options
 from setrl.verify.result import Verdict
+from setrl.verify.zonotope import Zonotope, diagonal_rows
 
 Array = Any
 FAST = (1, 2, 3, 4, 8, 10, 12, 18)
@@ -127,6 +128,27 @@ def test_a_cell_without_a_bound_takes_the_enclosure_that_has_one() -> None:
     unknown = replace(backward, output=replace(backward.output, generators=np.nan * backward.output.generators))
     _, forms = original(forward, unknown, shared)
     assert (forms == PARALLEL).all()
+
+
+def test_sets_with_different_numbers_of_rows_keep_their_boxes_last() -> None:
+    """Two cells, one of each set: shared rows first, then kept ones (or zeros), then the box."""
+    generator = np.random.default_rng(0)
+
+    def made(rows: int, size: Array) -> ActionSet:
+        kept = size[:, None, None] * generator.normal(size=(2, rows, 2))
+        shared, box = np.ones((2, 3, 2)), diagonal_rows(size[:, None] * generator.random((2, 2)))
+        z = Zonotope(np.zeros((2, 2)), np.concatenate([shared, kept, box], 1), np.zeros((2, 2)))
+        index = np.tile(np.arange(rows), (2, 1))
+        return ActionSet(z, index, np.zeros((2, 2)), np.zeros(2), (), np.zeros(0, dtype=np.intp))
+
+    for rows in ((4, 0), (0, 4)):
+        forward, backward = made(rows[0], np.array([0.01, 1.0])), made(rows[1], np.array([1.0, 0.01]))
+        found, forms = better_set(forward, backward, 3)
+        assert forms.tolist() == [PARALLEL, TWO_LINES] and found.output.generators.shape == (2, 9, 2)
+        for cell, given in enumerate((forward, backward)):
+            own, count = given.output.generators[cell], given.kept.shape[1]
+            padded = np.concatenate([own[: 3 + count], np.zeros((4 - count, 2)), own[3 + count :]])
+            assert np.array_equal(found.output.generators[cell], padded)
 
 
 def test_an_unknown_enclosure_is_refused() -> None:
