@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from vnnlib_queries import F, deep, linear, planar
+from vnnlib_queries import F, at_most, below, deep, linear, monotone, planar, query_of, smooth
 
 from setrl.models.onnx_reader import read_policy
 from setrl.specs.errors import InputError, UsageError
+from setrl.specs.queries import Case
+from setrl.specs.specification import Bounds
 from setrl.verify.deadline import Deadline
 from setrl.verify.open_loop import decide as decisions
 from setrl.verify.open_loop import search
@@ -27,6 +29,31 @@ def test_no_part_of_a_box_is_forgotten(cells: int, monkeypatch: pytest.MonkeyPat
     for known in SATISFIABLE:
         answer = decide(read_policy(known.content), known.query, splits=120)
         assert answer.word == "unknown" and 120 - cells < answer.cells <= 120
+
+
+def test_a_point_that_violates_is_not_refuted_because_it_has_no_halves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search.Search, "attack", lambda self: None)
+    monkeypatch.setattr(search.Search, "try_cells", lambda self, *_: None)
+    known = SATISFIABLE[0]
+    box = (Bounds(F(1, 2), F(1, 2)), Bounds(F(1, 4), F(1, 4)))
+    answer = decide(read_policy(known.content), query_of(2, 2, [Case(box, (at_most(F(1000), [F(1), F(0)]),))]))
+    assert (answer.word, answer.semantics) == ("unknown", ())
+    assert "too small to be halved" in answer.reason
+
+
+def test_a_violation_that_is_not_proved_in_exact_arithmetic_is_not_claimed_there() -> None:
+    """One that misses by less than any enclosure in float64 can tell."""
+    claimed = 0
+    for seed in range(6):
+        known = monotone(seed, F(1, 1000))
+        point = tuple(Bounds(F(1, 2 + i), F(1, 2 + i)) for i in (0, 2, 6))
+        policy = read_policy(known.content)
+        value = below(smooth(policy.layers, [bounds.lower for bounds in point])[0])
+        for margin in (F(1, 10**20), F(-1, 1000)):
+            answer = decide(policy, query_of(3, 1, [Case(point, (at_most(-value - margin, [F(-1)]),))]))
+            assert ("real" in answer.semantics and answer.word == "sat") == (margin < 0), answer
+            claimed += margin < 0
+    assert claimed == 6
 
 
 def test_the_size_of_batches_changes_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,6 +181,7 @@ ANSWERS: dict[str, tuple[str, str]] = {
     "a number without digits before the point": (asserted("(<= Y_0 -.1e4)"), UNSAT),
     "a subtraction with one side": (asserted("(<= (- Y_0) 1000.0)"), SAT),
     "a long subtraction": (asserted("(<= (- Y_0 X_0 X_1 1000.0) 0.0)"), SAT),
+    "a variable on its own other side": (asserted("(<= (- (* 2.0 X_0) X_0) -0.5)"), UNSAT),
     "a nested product": (asserted("(<= (* 2.0 (+ 1.0 (* 3.0 Y_0))) -10000.0)"), UNSAT),
     "comments everywhere": (GOOD.replace("Y_0 0.0", "Y_0 -1000.0").replace(" ", " ; (\n"), UNSAT),
     "windows": (GOOD.replace("\n", "\r\n").replace("Y_0 0.0", "Y_0 1000.0"), SAT),
