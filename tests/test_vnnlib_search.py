@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Any
 
+import numpy as np
 import pytest
 from vnnlib_queries import F, at_most, below, deep, linear, monotone, planar, query_of, smooth
 
@@ -15,6 +17,7 @@ from setrl.verify.deadline import Deadline
 from setrl.verify.open_loop import decide as decisions
 from setrl.verify.open_loop import search
 from setrl.verify.open_loop.decide import decide
+from setrl.verify.open_loop.question import questions_of
 from setrl.verify.open_loop.search import Outcome
 
 SATISFIABLE = [planar(seed, F(1, 1000)) for seed in range(4)] + [linear(seed, F(1, 1000)) for seed in range(3)]
@@ -39,6 +42,19 @@ def test_a_point_that_violates_is_not_refuted_because_it_has_no_halves(monkeypat
     answer = decide(read_policy(known.content), query_of(2, 2, [Case(box, (at_most(F(1000), [F(1), F(0)]),))]))
     assert (answer.word, answer.semantics) == ("unknown", ())
     assert "too small to be halved" in answer.reason
+
+
+def test_a_point_beside_a_box_is_told_from_it() -> None:
+    known = SATISFIABLE[0]
+    policy = read_policy(known.content)
+    (question,) = questions_of(known.query)
+    running = search.Search(policy, policy, question, search.Budget(Deadline(None), 10))
+    every = np.ones((2, 1), dtype=bool)
+    cells = search.Cells(np.array([[0.5, 0.5], [0.0, 0.0]]), np.array([[0.5, 0.5], [1.0, 1.0]]), every, every)
+    waiting: deque[search.Cells] = deque()
+    assert not running.split(cells, running.bound(cells), every[:, 0], every, waiting)
+    (halves,) = waiting
+    assert len(halves.low) == 2
 
 
 def test_a_violation_that_is_not_proved_in_exact_arithmetic_is_not_claimed_there() -> None:
