@@ -20,7 +20,7 @@ from .arguments import (
     stop_after,
 )
 from .exit_codes import OK, UNKNOWN
-from .inputs import first_bytes
+from .inputs import content_of, first_bytes
 from .output import one_line, print_json, say, tell
 
 
@@ -51,9 +51,9 @@ def check(
     from ..verify.checker.recheck import MOST_BYTES, most_bytes, recheck
     from ..verify.interruption import progress_bar
 
-    evidence = _content(file, "certificate or witness", most_bytes(first_bytes(file, 64)))
-    asked = _content(network, "policy", MOST_BYTES["policy"])
-    about = _content(contract, "specification", MOST_BYTES["specification"])
+    evidence = content_of(file, "certificate or witness", most_bytes(first_bytes(file, 64)))
+    asked = content_of(network, "policy", MOST_BYTES["policy"])
+    about = content_of(contract, "specification", MOST_BYTES["specification"])
     again = _replayed(network) if replay else None
     with progress_bar(not quiet) as progress:
         try:
@@ -96,21 +96,6 @@ def _checked_inputs(policy: Path | None, specification: str | None, spec: str | 
     from ..specs.reader import find_specification
 
     return policy, find_specification(chosen)
-
-
-def _content(path: Path, what: str, most: int) -> bytes:
-    """The bytes of a regular file: of nothing else it is known that they end."""
-    from ..specs.errors import InputError
-
-    try:
-        if not path.is_file():
-            raise InputError(f"a file is required: there is no such {what}", where=str(path), remedy="check the path")
-        if path.stat().st_size > most:
-            raise InputError(f"no {what} has more than {most} bytes", where=str(path), remedy="check the path")
-        return path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise InputError(f"cannot read the {what}: {reason}", where=str(path), remedy="check the path") from error
 
 
 def _replayed(policy: Path) -> Callable[[Any], str]:

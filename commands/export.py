@@ -24,9 +24,8 @@ from .arguments import (
     require_whole,
     require_workers,
 )
-from .check import _content as content_of
 from .exit_codes import OK, UNKNOWN
-from .inputs import first_bytes, read_inputs
+from .inputs import content_of, first_bytes, read_inputs
 from .output import one_line, print_json, say, tell
 
 if TYPE_CHECKING:

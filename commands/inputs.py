@@ -46,3 +46,18 @@ def first_bytes(path: Path, count: int) -> bytes:
             return file.read(count)
     except OSError:
         return b""
+
+
+def content_of(path: Path, what: str, most: int) -> bytes:
+    """The bytes of a regular file: of nothing else it is known that they end."""
+    from ..specs.errors import InputError
+
+    try:
+        if not path.is_file():
+            raise InputError(f"a file is required: there is no such {what}", where=str(path), remedy="check the path")
+        if path.stat().st_size > most:
+            raise InputError(f"no {what} has more than {most} bytes", where=str(path), remedy="check the path")
+        return path.read_bytes()
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise InputError(f"cannot read the {what}: {reason}", where=str(path), remedy="check the path") from error

@@ -32,7 +32,10 @@ from setrl.verify.runtime_error import FunctionError, RuntimeMeasurement, measur
 
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / ".src")}
-COMMANDS = ("verify", "check", "sweep", "radius", "simulate", "init", "inspect", "doctor", "schema")
+COMMANDS = (
+    *("verify", "check", "sweep", "radius", "simulate", "certify", "export", "crosscheck", "vnnlib"),
+    *("init", "inspect", "doctor", "schema"),
+)
 
 
 @pytest.fixture
