@@ -234,7 +234,7 @@ BUGS = [
     Bug("wrong link", wrapped(evidence, "_put_dropped", wrong_link), 11),
     Bug("cells too narrow", method(splitting.InitialSet, "cells", teeth.narrow_cells), 2),
     Bug("only one initial factor", method(splitting.InitialSet, "cells", first_factor_only), 6),
-    Bug("cut in another place", wrapped(certificate, "_tree", moved_cut), 2, {"tight": 0.7, "splits": 64}),
+    Bug("cut in another place", wrapped(certificate, "cover_of", moved_cut), 2, {"tight": 0.7, "splits": 64}),
     Bug("margins with too much room", wrapped(certificate.rounding, "with_room", bold_margins), 2),
     Bug("support 0.95", method(Zonotope, "support", teeth.support_without_last), 0),
     Bug("cost 0.95", wrapped(performance, "worst_cost", teeth.too_cheap), 5),
