@@ -12,6 +12,9 @@ from test_teeth import Tooth, method, wrapped
 
 from setrl.verify import backward, backward_lines, relaxations
 
+pytestmark = pytest.mark.slow
+"""They are about the laws, which the default suite runs; `make test-slow` shows that the laws have teeth."""
+
 
 def no_room(link: Any, layer: Any, size: Any, room: Any) -> Any:
     return link(layer, size, 0.0 * room)

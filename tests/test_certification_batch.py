@@ -506,6 +506,7 @@ def test_several_parts_without_an_answer_are_one_row(folder: Path) -> None:
     assert (folder / "out" / JOURNAL).read_bytes().count(b"\n") == 2
 
 
+@pytest.mark.slow
 def test_a_hard_row_is_really_cut_decided_and_joined(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(work, "FIRST_CELLS", 4)
     text = (

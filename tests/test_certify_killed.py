@@ -99,6 +99,7 @@ def check_killed(inputs: Path, out: Path, undisturbed: tuple[Any, float], genera
     require_whole_files(out)
 
 
+@pytest.mark.slow
 def test_a_killed_run_is_finished_by_the_next_one(inputs: Path, tmp_path: Path, undisturbed: tuple[Any, float]) -> None:
     check_killed(inputs, tmp_path / "out", undisturbed, random.Random(1), 1)
 

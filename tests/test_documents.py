@@ -102,8 +102,19 @@ def run_page(page: Path) -> None:
                 run_command(command, expected, where)
 
 
+LONG = {"train.md", "witness.md", "methods.md", "sweep.md", "simulate.md", "certificate.md"}
+"""Pages whose commands take ten seconds and more, and are tested one by one elsewhere too."""
+
+
 @landed
-@pytest.mark.parametrize("page", [page for page in PAGES if runnable(page)], ids=lambda page: page.name)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=page.name)
+        for page in PAGES
+        if runnable(page)
+    ],
+)
 def test_a_page_does_what_it_says(page: Path, folder: Path) -> None:
     run_page(page)
 

@@ -289,6 +289,7 @@ def test_a_trajectory_that_violates_a_requirement_satisfies_its_query(number: in
                 assert satisfied(query, inputs, outputs) == expected, (kind, region)
 
 
+@pytest.mark.slow
 def test_a_reach_is_violated_only_by_missing_all_of_the_region_at_every_instant() -> None:
     number, given = 22, source(22)
 

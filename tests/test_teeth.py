@@ -34,6 +34,9 @@ from setrl.verify.deadline import Deadline
 from setrl.verify.options import Options
 from setrl.verify.zonotope import Zonotope
 
+pytestmark = pytest.mark.slow
+"""They are about the laws, which the default suite runs; `make test-slow` shows that the laws have teeth."""
+
 Patch = pytest.MonkeyPatch
 
 
