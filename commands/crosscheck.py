@@ -18,8 +18,8 @@ from .arguments import (
     require_whole,
     require_workers,
 )
-from .exit_codes import ABORTED, OK
-from .export import export
+from .exit_codes import ABORTED
+from .export import write_queries
 from .output import print_json, say, tell, write
 
 MEMORY = 8 << 30
@@ -85,7 +85,7 @@ def crosscheck(
         raise UsageError("excludes a policy and a specification", where="--export", remedy="give one of the two")
     versions = _installed([tool.value for tool in tools] if tools else None, list(TOOLS))
     if exported is None:
-        code = export(
+        written = write_queries(
             policy=policy,
             spec=spec,
             out=out,
@@ -95,10 +95,9 @@ def crosscheck(
             closed_loop=closed_loop,
             epsilon=epsilon,
             splits=splits,
-            quiet=True,
         )
-        if code != OK:
-            return code
+        if isinstance(written, int):
+            return written
     queries = read_queries(out if exported is None else exported)
 
     def show(entry: Entry) -> None:

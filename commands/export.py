@@ -11,6 +11,7 @@ from .arguments import (
     EpsilonOption,
     GeneratorsOption,
     JsonOption,
+    Method,
     MethodOption,
     OrderOption,
     PolicyArgument,
@@ -30,6 +31,7 @@ from .output import one_line, print_json, say, tell
 
 if TYPE_CHECKING:
     from ..verify.deadline import Deadline
+    from ..verify.export.folder import Exported
     from ..verify.export.sources import Source
     from ..verify.options import Options
 
@@ -69,6 +71,59 @@ def export(
     """Write a proof's claims about the network as ONNX and VNN-LIB, for other verifiers.
 
     Nothing is written unless the checker accepts the certificate.
+    """
+    written = write_queries(
+        policy=policy,
+        spec=spec,
+        out=out,
+        certificate=certificate,
+        periods=periods,
+        leaves=leaves,
+        relative=relative,
+        closed_loop=closed_loop,
+        map_order=map_order,
+        epsilon=epsilon,
+        workers=workers,
+        timeout=timeout,
+        splits=splits,
+        method=method,
+        taylor_order=taylor_order,
+        generators=generators,
+        quiet=quiet,
+    )
+    if isinstance(written, int):
+        return written
+    count, head = written
+    if as_json:
+        print_json({"out": str(out), "networks": count.networks, "queries": count.queries, **head})
+    else:
+        say(f"{count.queries} queries about {count.networks} networks: {out}")
+    return OK
+
+
+def write_queries(
+    *,
+    policy: Path | None = None,
+    spec: str | None = None,
+    out: Path | None = None,
+    certificate: Path | None = None,
+    periods: str | None = None,
+    leaves: int | None = None,
+    relative: bool = False,
+    closed_loop: bool = False,
+    map_order: int | None = None,
+    epsilon: str | None = None,
+    workers: int | None = None,
+    timeout: float | None = None,
+    splits: int | None = None,
+    method: Method | None = None,
+    taylor_order: int | None = None,
+    generators: int | None = None,
+    quiet: bool = True,
+) -> tuple[Exported, dict[str, Any]] | int:
+    """What `export` does before it answers: what was written and the head of its list, or an exit code without a proof.
+
+    See `export` for the options.
     """
     from ..specs.errors import UsageError
     from ..verify.export.folder import require_place, write_export
@@ -116,12 +171,7 @@ def export(
         from ..verify.export.action_parts import action_parts
 
         parts = action_parts(source, some, chosen, relative)
-    count = write_export(out, parts, head, readme_of(source, sentence, head["certificate"], order))
-    if as_json:
-        print_json({"out": str(out), "networks": count.networks, "queries": count.queries, **head})
-    else:
-        say(f"{count.queries} queries about {count.networks} networks: {out}")
-    return OK
+    return write_export(out, parts, head, readme_of(source, sentence, head["certificate"], order)), head
 
 
 def _read_periods(text: str | None, closed_loop: bool) -> tuple[int, int | None]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import EXAMPLE, QUICK, run
 
 from setrl.models.onnx_writer import policy_bytes
 from setrl.models.policy import Activation, Affine
@@ -143,6 +143,16 @@ def test_all_installed_tools_are_asked_by_default(tools: Path, capsys: Any) -> N
     data = json.loads(outcome.out)
     assert outcome.code == 0 and data["tools"] == {"vibecheck": "vibecheck-nn 9.9", "marabou": "maraboupy 9.9"}
     assert len(data["entries"]) == 4
+
+
+def test_a_policy_is_verified_exported_and_asked_about_and_json_stays_alone(tools: Path, capsys: Any) -> None:
+    tools.write_text("unsat\n")
+    Path("quick.yaml").write_text(QUICK)
+    arguments = ["crosscheck", EXAMPLE, "--spec", "quick.yaml", "--periods", "0:2", "--with", "marabou", "--json", "-q"]
+    outcome = run(capsys, *arguments)
+    data = json.loads(outcome.out)
+    assert outcome.code == 0 and len(data["entries"]) == 4
+    assert {entry["agreement"] for entry in data["entries"]} == {"confirmed"}
 
 
 def test_a_tool_that_does_not_end_is_a_timeout(tools: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
